@@ -26,7 +26,7 @@ from sunarc.formats.view import compare as compared
 from sunarc.geolocation.locate import Located, shadows
 from sunarc.optics.camera import inside_image
 from sunarc.public.calibration_files import read_view_file, write_exports
-from sunarc.public.inputs import Asked, Times, Values, asked, named_as_in_python, number, unix_seconds
+from sunarc.public.inputs import Asked, Times, Values, asked, named_as_in_python, number, one_time
 from sunarc.public.stated_fit import StatedStart
 from sunarc.public.summary import calibration_text, verdict_of
 from sunarc.public.values import (
@@ -245,8 +245,9 @@ class Calibration:
         cloud = cloud_positions(self._ready, pixels, height_m=height_m, height_sigma_m=sigma_m, site=site)
         shadow = None
         if time is not None:
+            unix_s = one_time(time, remedy="give one time")
             with np.errstate(all="ignore"):  # a cloud without a place has no shadow
-                shadow = _positions(points, shadows(cloud, sun_directions(_one_time(time), site), site))
+                shadow = _positions(points, shadows(cloud, sun_directions(unix_s, site), site))
         return _positions(points, cloud, shadow)
 
     def draw(self, draws: int, *, seed: int, accept_refused: bool = False) -> Draws:
@@ -442,7 +443,7 @@ class Calibration:
             problem = f"{self._name} has no pose: its directions are of the camera's own frame"
             remedy = "fit it: sunarc.calibrate(..., start=calibration, pose_only=True)"
             raise InputError(field="calibration", problem=problem, remedy=remedy)
-        if not accept_refused and self.verdict not in {"accepted", "provisional", "unstated"}:
+        if not (accept_refused or self.accepted or self.verdict == "unstated"):
             problem = f"is {self.verdict}: {self.reasons[0]}"
             raise InputError(field="calibration", problem=problem, remedy=_REFUSED_REMEDY)
 
@@ -588,13 +589,6 @@ def _positions(points: Asked, found: Located, shadow: CloudPositions | None = No
         covariance_m2=points.answer(found.covariance_m2[:, :2, :2], "component", "component_too"),
         shadow=shadow,
     )
-
-
-def _one_time(time: Times) -> float:
-    unix_s = unix_seconds(time)
-    if unix_s.ndim != 0:
-        raise InputError(field="time", problem=f"has shape {unix_s.shape}", remedy="give one time")
-    return float(unix_s)
 
 
 def _plots() -> Any:  # noqa: ANN401 - a module of an extra

@@ -10,6 +10,7 @@ from sunarc.calibration.model.result import Calibration as Solved
 from sunarc.calibration.model.sightings import Sightings as Points
 from sunarc.calibration.stated_prior import PriorTolerances
 from sunarc.common.errors import InputError
+from sunarc.common.utc import DAY_S
 from sunarc.formats.formats import calibration_view
 from sunarc.optics.projections import PROJECTIONS
 from sunarc.public.calibration import Calibration, load
@@ -131,12 +132,9 @@ def _tolerances(
     return PriorTolerances(lens_px=number(lens_px, field="lens_within_px"), pose_deg=pose, focal_length=focal)
 
 
-_LONGEST_CLOCK_ERROR_S = 86_400.0
-
-
 def _clock_bound(seconds: float | None) -> float | None:
-    if seconds is not None and not 0.0 <= seconds <= _LONGEST_CLOCK_ERROR_S:
-        problem = f"{seconds:g} s is not within 0 to {_LONGEST_CLOCK_ERROR_S:g}"
+    if seconds is not None and not 0.0 <= seconds <= DAY_S:
+        problem = f"{seconds:g} s is not within 0 to {DAY_S:g}"
         raise InputError(field="clock_error_s", problem=problem, remedy="give the bound of the clock's error in s")
     return seconds
 

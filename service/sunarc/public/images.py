@@ -18,7 +18,7 @@ from sunarc.detection.values import BAYERS, Bayer, Detection
 from sunarc.formats.formats import calibration_view
 from sunarc.public.calibration import Calibration
 from sunarc.public.documents import as_documented
-from sunarc.public.inputs import Times, choice, data_array, unix_seconds
+from sunarc.public.inputs import Times, choice, data_array, one_time, unix_seconds
 from sunarc.public.star_files import StarImage, StarOptions, blind_result, named_or_flipped, stars_of_image
 from sunarc.public.values import Sightings, Site, require_site
 from sunarc.sky.directions import angles_from_direction
@@ -112,7 +112,7 @@ def find_sun(
     >>> sun.accepted, round(sun.x_px), round(sun.y_px)
     (True, 158, 154)
     """
-    unix_s = None if time is None else _one_time(time)
+    unix_s = None if time is None else one_time(time, remedy="give the time of the picture")
     expected = None
     if calibration is not None:
         if unix_s is None:
@@ -136,13 +136,6 @@ def find_sun(
         time=None if unix_s is None else utc_time(unix_s),
         detection=found,
     )
-
-
-def _one_time(time: Times) -> float:
-    unix_s = unix_seconds(time)
-    if unix_s.ndim != 0:
-        raise InputError(field="time", problem=f"has shape {unix_s.shape}", remedy="give the time of the picture")
-    return float(unix_s)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

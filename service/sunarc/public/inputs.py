@@ -216,6 +216,14 @@ def asked(**columns: Values) -> Asked:
     return Asked(rows, parts[0].shape, like)
 
 
+def one_time(time: Times, *, remedy: str) -> float:
+    """Return one time as seconds since 1970-01-01 UTC; InputError with the remedy where there are several."""
+    unix_s = unix_seconds(time)
+    if unix_s.ndim != 0:
+        raise InputError(field="time", problem=f"has shape {unix_s.shape}", remedy=remedy)
+    return float(unix_s)
+
+
 def asked_times(time: Times) -> Asked:
     """Return times as a question: one column, seconds since 1970-01-01 UTC; see `unix_seconds`."""
     unix_s = unix_seconds(time)

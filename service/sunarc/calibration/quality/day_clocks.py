@@ -37,13 +37,16 @@ class _Days(NamedTuple):
         size = self.pulls.shape[1]
         return np.asarray(np.linalg.solve(self.products + np.eye(size) / spread**2, self.pulls[..., None])[..., 0])
 
-    def best(self, variance: float) -> tuple[float, float]:
-        """Return the highest log evidence of such errors against none, and its spread; `variance` of the residuals."""
-        scaled = _Days(self.products / variance, self.pulls / variance)
+    def over(self, variance: float) -> _Days:
+        """Return the sums over a variance of the residuals."""
+        return _Days(self.products / variance, self.pulls / variance)
+
+    def best(self) -> tuple[float, float]:
+        """Return the highest log evidence of such errors against none, and its spread."""
         size, tried = self.pulls.shape[1], []
         for spread in _SPREADS_S.tolist():
-            gain = 0.5 * float(np.sum(scaled.pulls * scaled.solved(spread)))
-            volume = float(np.sum(np.linalg.slogdet(np.eye(size) + scaled.products * spread**2)[1]))
+            gain = 0.5 * float(np.sum(self.pulls * self.solved(spread)))
+            volume = float(np.sum(np.linalg.slogdet(np.eye(size) + self.products * spread**2)[1]))
             tried.append((gain - 0.5 * volume, spread))
         return max(tried)
 
@@ -80,10 +83,11 @@ def unsteady_clock(calibration: Calibration, usable: Sightings) -> Finding | Non
     rho = min(max(rho, 0.0), _LARGEST_CORRELATION)
     alike = (1.0 + rho) / (1.0 - rho)  # by how much more a mean varies as neighbours err alike
     variance = max(float(np.sum(weight[:, None] * left**2)) / free * alike, _LEAST_SIGMA_PX**2)
-    evidence = {name: one.best(variance) for name, one in of_days.items()}
+    scaled = {name: one.over(variance) for name, one in of_days.items()}
+    evidence = {name: one.best() for name, one in scaled.items()}
     log_odds, spread = evidence["clock"]
     rival = max(value for name, (value, _) in evidence.items() if name != "clock")
-    offsets = _Days(of_days["clock"].products / variance, of_days["clock"].pulls / variance).solved(spread)[:, 0]
+    offsets = scaled["clock"].solved(spread)[:, 0]
     scatter_s = float(np.std(offsets))
     allowed_s = max(_LEAST_S, calibration.evidence.clock_error_s if calibration.evidence.clock_stated else 0.0)
     if not proves("daily_clock", log_odds) or log_odds < rival or scatter_s <= allowed_s:
