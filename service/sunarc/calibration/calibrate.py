@@ -32,16 +32,16 @@ class FitInput(TypedDict, total=False):
     image_size: Required[tuple[int, int]]
     """Width and height, px."""
     options: CalibrationOptions
-    """How to fit; the defaults are the service's."""
+    """Options of the fit; the defaults are the service's."""
     circle: ImageCircle | None
     """The image circle, where it is known."""
     start: Camera | None
     """A camera to start from, in place of a search."""
     parts: bool
-    """Whether the fit is tested against parts of the sightings and the other handedness; default True. A fit that is
+    """Tests of the fit against parts of the sightings and the other handedness; default True. A fit that is
     only compared with others needs no such test."""
     tilt_known: bool
-    """Whether the camera was accepted before at this site by this clock: its tilt is not asked about; default False."""
+    """Former acceptance of the camera at this site by this clock: its tilt is not asked about; default False."""
 
 
 def calibrate(points: Sightings, **given: Unpack[FitInput]) -> Calibration:

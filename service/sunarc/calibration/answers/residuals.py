@@ -1,4 +1,4 @@
-"""What a calibration leaves of its sightings, in px and in degrees."""
+"""Residuals of sightings under a calibration, in px and in degrees."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from sunarc.sky.directions import angles_from_direction, angular_distance
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Residuals:
-    """Sightings beside what the calibration predicts of them; only those that are finite and that the camera sees.
+    """Residuals of sightings; only of those that are finite and that the camera sees.
 
     Attributes
     ----------
