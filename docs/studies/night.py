@@ -53,7 +53,7 @@ class Case(NamedTuple):
     """What a night does that the day does not: see `nights.Night`.
 
     Moments are shifted by `late_s`; `wrong` of the matches are, by 1 to 10 px; `south`: no stars in the north.
-    `drawn`: the lens, coma, bending and refraction are drawn as the fit's priors have them (decision 0025 for the air).
+    `drawn`: the lens, coma, bending and refraction are drawn as the fit's priors have them (decision 0009 for the air).
     """
 
     night: dict[str, Any]
@@ -81,7 +81,7 @@ CASES = {
 
 
 class Air:
-    """What the air refracts beyond what is assumed, as decision 0025 has it: a share of all days, and one of each."""
+    """What the air refracts beyond what is assumed, as decision 0009 has it: a share of all days, and one of each."""
 
     def __init__(self, rng: np.random.Generator, *, drawn: bool) -> None:
         self._common = ASSUMED_AIR_SD * rng.standard_normal() if drawn else 0.0

@@ -104,7 +104,7 @@ def test_the_wandering_s_part_is_that_of_small_rotations(calibration: Calibratio
 def test_the_air_s_part_is_the_outer_product_of_what_other_refraction_does(calibration: Calibration) -> None:
     directions = sun_arc(5, widest_deg=85.0)
     found = window_of(window_at(calibration, directions), calibration, STILL)
-    sd = math.hypot(0.04, 0.015)  # common to the record and of the day (decision 0025)
+    sd = math.hypot(0.04, 0.015)  # common to the record and of the day (decision 0009)
     rise = 1e-4 * refraction_rad(directions, SGP)
     shift = (project(found.camera, raised(directions, rise)) - project(found.camera, directions)) / 1e-4 * sd
     np.testing.assert_allclose(found.air, np.outer(shift.ravel(), shift.ravel()), rtol=2e-3, atol=1e-9)

@@ -492,7 +492,7 @@ _RADIAL_FACTORS = np.array([0.1, 0.15, 0.22, 0.33, 0.5, 0.75, 1.2, 2.0, 4.0, 8.0
 RADIAL_LOG_SIGMA = math.log(2.6)
 _DECENTERING_FACTORS = np.array([0.25, 0.5, 1.0, 2.0, 4.0, 8.0])
 DECENTERING_LOG_SIGMA = math.log(2.0)
-"""1-sigma of the logarithms of the two scales about their tolerances, of published lenses (decision 0055): 14 of them
+"""1-sigma of the logarithms of the two scales about their tolerances, of published lenses (decision 0011): 14 of them
 have a decentering, and the factor 1.6 of these is taken for 2."""
 _USUAL_FIELD_PX = 0.3
 _FIELD_LOG_SIGMA = math.log(3.0)

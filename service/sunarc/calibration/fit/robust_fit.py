@@ -252,7 +252,7 @@ def _with_field(
 ) -> tuple[RoundState, Noise, HyperparameterGrid, LinearSystem]:
     """Return the rounds' answer, the grid of scales that it took, and the last round's equations.
 
-    The mean of a field that is more probable than none is part of the prediction (decision 0037). One that lets the
+    The mean of a field that is more probable than none is part of the prediction (decision 0008). One that lets the
     camera itself miss the sightings has taken over what the lens's parameters explain: it is bounded more tightly, and
     the rounds begin again.
     """

@@ -114,7 +114,7 @@ def _largest_square(weights: FloatArray) -> float:
 
 _COST_RATIO = 1.05
 """Robust cost and median residual over those of the fit alone that the type may cost it: priors and correlated noise
-make it 1.04 (decision 0023). Few sightings are met too well by the fit alone: a right type costs half of each of the
+make it 1.04 (decision 0010). Few sightings are met too well by the fit alone: a right type costs half of each of the
 17 parameters that it determines, and once in some thousand cases three times that much."""
 
 
