@@ -187,7 +187,7 @@ def _against(
         *_against_camera(calibration, options),
     ]
     against += _against_ring(calibration, usable)
-    beyond = any(one.code == "tilt_too_large" for one in against)
+    beyond = any(one.code == "tilt_too_large" for one in against) and _tilt_shown(calibration) is None
     if (below or beyond) and question is not None:
         return [question, *against]  # the mistake would bring the sun above the horizon, or the tilt within its limit
     doubt = None if tilt_known else tilt_in_doubt(calibration)
