@@ -79,6 +79,37 @@ def test_a_fit_of_a_file_loads_neither_the_service_nor_the_settings() -> None:
     assert _answer(code) == "[]"
 
 
+SIGHTINGS = Path(__file__).parents[2] / "docs/examples/front_door/sun.csv"
+
+
+def test_a_fit_of_one_day_loads_numpy_and_no_other_library_of_arrays_or_images() -> None:
+    heavy = (
+        "scipy",
+        "cv2",
+        "PIL",
+        "rich",
+        "pandas",
+        "matplotlib",
+        "xarray",
+        "sqlalchemy",
+        "ephem",
+        "numpy.f2py",
+        "yaml",
+    )
+    code = f"""
+sys.argv = ["sunarc", "calibrate", {str(SIGHTINGS)!r}, *"--latitude 36.604 --longitude -97.485".split()]
+sys.argv += "--altitude 318 --image-size 1748,1748".split()
+from sunarc.cli.main import main
+try:
+    main()
+except SystemExit as ended:
+    assert not ended.code
+"""
+    loaded = _loaded(code)
+    assert "numpy" in loaded
+    assert not {*heavy, "sunarc.formats.formats", "sunarc.sources.image_files"}.intersection(loaded)
+
+
 FIT = tuple(f"sunarc.calibration.{name}" for name in ("calibrate", "fit", "noise", "paper", "pose", "solve", "start"))
 SCIPY = ("scipy.linalg", "scipy.ndimage", "scipy.optimize", "scipy.spatial")
 

@@ -18,6 +18,7 @@ from sunarc.optics.pose import (
     rotation_from_pose_angles,
     rotation_matrix,
     rotation_vector,
+    rotation_vectors,
 )
 
 FloatArray = NDArray[np.float64]
@@ -46,6 +47,16 @@ def test_vector_and_matrix_undo_one_another_up_to_half_a_turn() -> None:
         np.testing.assert_allclose(rotation_vector(rotation_matrix(vector)), vector, atol=1e-9)
     beyond = np.array([0.0, 0.0, 1.5 * math.pi])
     np.testing.assert_allclose(rotation_vector(rotation_matrix(beyond)), [0.0, 0.0, -0.5 * math.pi], atol=1e-14)
+
+
+def test_many_rotations_are_those_of_scipy_at_every_angle() -> None:
+    small = 10.0 ** RNG.uniform(-12.0, 0.0, 300)
+    angles = np.concatenate([np.zeros(3), small, math.pi - small, RNG.uniform(0.0, 2.0 * math.pi, 300)])
+    axes = RNG.normal(size=(angles.size, 3))
+    vectors = axes / np.linalg.norm(axes, axis=-1, keepdims=True) * angles[:, None]
+    expected = Rotation.from_rotvec(vectors)
+    np.testing.assert_allclose(rotation_matrix(vectors), expected.as_matrix(), atol=1e-14)
+    np.testing.assert_allclose(rotation_vectors(expected.as_matrix()), expected.as_rotvec(), atol=1e-13)
 
 
 def test_the_angle_between_two_poses() -> None:

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
 
 from sunarc.common.array_types import BoolArray, FloatArray, IntArray
 from sunarc.common.robust_statistics import finite
@@ -66,11 +65,13 @@ def factored(covariance: FloatArray) -> FloatArray:
     """Return the lower Cholesky factor; LinAlgError also where a direction has no pixel and its covariance is NaN."""
     if not np.all(np.isfinite(covariance)):
         raise np.linalg.LinAlgError("an observation is where nothing is predicted")
-    return np.asarray(cholesky(covariance, lower=True, check_finite=False))
+    return np.linalg.cholesky(covariance)
 
 
 def whitened(covariance: FloatArray, stacked: FloatArray) -> tuple[FloatArray, float]:
     """Return columns (n, m) in axes in which a covariance (n, n) is the unit one, and half its log determinant."""
+    from scipy.linalg import solve_triangular  # noqa: PLC0415 - a fit of one pose loads without it
+
     factor = factored(covariance)
     white = solve_triangular(factor, stacked, lower=True, check_finite=False)
     return np.asarray(white), float(np.sum(np.log(np.diag(factor))))

@@ -11,7 +11,6 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import cho_solve
 
 from sunarc.calibration.answers.error_model import (
     CameraErrorModel,
@@ -97,6 +96,8 @@ def conditioned(error_model: CameraErrorModel, at: Predicted, sightings: PixelRe
     if sightings.variance.size == 0:
         return error_model
     total = joint_covariance(error_model, at) + np.diag(np.repeat(sightings.variance, 2))
+    from scipy.linalg import cho_solve  # noqa: PLC0415 - a fit of sightings alone loads without it
+
     factor = (factored(total), True)
     shared = with_parameters(error_model, at)
     # the Kalman gain, all sightings at once

@@ -11,9 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
 
 from sunarc.cli.owner import act_as_owner
 from sunarc.common.errors import InputError
@@ -21,6 +18,8 @@ from sunarc.common.utc import DAY_S
 from sunarc.imager.runtime.clock import SystemClock
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from sunarc.imager.settings.model import HubSettings, Settings
 
 SITE = "Where the camera stands"
@@ -127,6 +126,8 @@ def table(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
 
     The first column names a row; where the names are short (ids), a narrow terminal breaks the other columns first.
     """
+    from rich.table import Table
+
     cells = [
         ["" if cell is None else f"{cell:.3f}" if isinstance(cell, float) else str(cell) for cell in row]
         for row in rows
@@ -160,6 +161,8 @@ def print_text(value: Any, text: str, *, as_json: bool) -> None:  # noqa: ANN401
 
 def print_table(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
     """Print a table; see `table`."""
+    from rich.console import Console
+
     Console(soft_wrap=True).print(table(columns, rows))
 
 
@@ -174,6 +177,9 @@ def progress_bars(*, every_s: float = _LINE_S) -> Iterator[Callable[[str, int, i
         with _progress_lines(every_s) as note:
             yield note
         return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     console = Console(stderr=True, soft_wrap=True)
     with Progress(*columns, console=console) as bars:

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.common.array_types import FloatArray, IntArray
@@ -283,15 +282,15 @@ def compare(first: View, second: View) -> Comparison:
     here = first.unproject(pixels)
     rotation = _best_rotation(here, second.unproject(pixels))
     if not (first.has_pose and second.has_pose):
-        second = rotated(second, rotation.as_matrix())
+        second = rotated(second, rotation)
     there = second.unproject(pixels)
     off_px = second.project(directions) - pixels
     off_deg = _angle_deg(here, there)
     described = np.isfinite(off_px[:, 0]) & np.isfinite(off_deg)
     off_px[~described], off_deg[~described] = np.nan, np.nan
-    left = _angle_deg(here, there @ _best_rotation(here, there).as_matrix().T)[described]
+    left = _angle_deg(here, there @ _best_rotation(here, there).T)[described]
     zenith_deg = np.degrees(np.arccos(np.clip(directions[:, 2], -1.0, 1.0)))
-    vector = np.degrees(rotation.as_rotvec())
+    vector = np.degrees(rotation_vector(rotation))
     return Comparison(
         total=_differences(off_px, off_deg, described),
         by_zenith=tuple(
@@ -323,14 +322,16 @@ def _differences(off_px: FloatArray, off_deg: FloatArray, which: np.typing.NDArr
     )
 
 
-def _best_rotation(first: FloatArray, second: FloatArray) -> Rotation:
-    """Return the rotation that takes the second directions (n, 3) closest to the first ones (Kabsch's)."""
+def _best_rotation(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Return the (3, 3) rotation that takes the second directions (n, 3) closest to the first ones (Kabsch's)."""
     both = np.isfinite(first[:, 0]) & np.isfinite(second[:, 0])
     if np.sum(both) < 3:
         raise InputError(
             field="comparison", problem="no direction of the sky is in both", remedy="compare two whole calibrations"
         )
-    return Rotation.align_vectors(first[both], second[both])[0]
+    from scipy.spatial.transform import Rotation  # noqa: PLC0415 - a fit loads without it
+
+    return np.asarray(Rotation.align_vectors(first[both], second[both])[0].as_matrix())
 
 
 def _angle_deg(first: FloatArray, second: FloatArray) -> FloatArray:
@@ -447,6 +448,8 @@ def _ideal(view: View, pixels: FloatArray, directions: FloatArray, projection: P
     radius = np.linalg.norm(off, axis=-1)
     scale = ideal_radius(projection, np.minimum(angle, math.pi / 2))
     focal = float(np.sum(radius[near] * scale[near]) / np.sum(scale[near] ** 2))
+    from scipy.spatial.transform import Rotation  # noqa: PLC0415 - a fit loads without it
+
     tried = []
     for mirrored in (False, True):
         x = -off[near, 0] if mirrored else off[near, 0]

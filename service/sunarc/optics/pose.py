@@ -30,19 +30,50 @@ def rotation_matrix(rotation_cam_enu: ArrayLike) -> FloatArray:
     """Return the (3, 3) matrix that takes east-north-up to the camera frame, from its rotation vector in radians."""
     vector = np.array(rotation_cam_enu, dtype=np.float64)
     if vector.ndim > 1:
-        from scipy.spatial.transform import Rotation  # noqa: PLC0415 - the command line loads without it
-
-        return np.asarray(Rotation.from_rotvec(vector).as_matrix())
-    # a fit needs one at a time, thousands of times: without scipy's checks it costs a tenth
+        return _matrices(vector)
+    # a fit needs one at a time, thousands of times
     return _kernels.rotation_and_jacobian(vector)[0]
 
 
 def rotation_vector(matrix_cam_enu: ArrayLike) -> tuple[float, float, float]:
     """Return the rotation vector in radians of a (3, 3) rotation matrix."""
-    from scipy.spatial.transform import Rotation  # noqa: PLC0415 - the command line loads without it
-
-    x, y, z = Rotation.from_matrix(np.asarray(matrix_cam_enu, dtype=np.float64)).as_rotvec()
+    x, y, z = rotation_vectors(np.asarray(matrix_cam_enu, dtype=np.float64)[None])[0]
     return float(x), float(y), float(z)
+
+
+def _matrices(vectors: FloatArray) -> FloatArray:
+    """Return the matrices (n, 3, 3) of rotation vectors (n, 3), by Rodrigues' formula."""
+    angle = np.linalg.norm(vectors, axis=-1)[..., None, None]
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    nil = np.zeros_like(x)
+    cross = np.stack([np.stack(row, axis=-1) for row in ((nil, -z, y), (z, nil, -x), (-y, x, nil))], axis=-2)
+    sine, half = np.sinc(angle / np.pi), np.sinc(angle / (2.0 * np.pi))
+    return np.asarray(np.eye(3) + sine * cross + 0.5 * half**2 * (cross @ cross))
+
+
+def rotation_vectors(matrices: FloatArray) -> FloatArray:
+    """Return the rotation vectors (n, 3), of at most half a turn, of rotation matrices (n, 3, 3).
+
+    They come from the unit quaternion by its largest component (Shepperd 1978), which keeps all digits at any angle.
+    """
+    m = np.asarray(matrices, dtype=np.float64)
+    diagonal = np.diagonal(m, axis1=-2, axis2=-1)
+    trace = np.sum(diagonal, axis=-1, keepdims=True)
+    # 4 q q', the rows and columns being w, x, y, z
+    products = np.empty((*m.shape[:-2], 4, 4))
+    products[..., 0, 0] = 1.0 + trace[..., 0]
+    for k, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
+        products[..., k + 1, k + 1] = 1.0 + 2.0 * diagonal[..., k] - trace[..., 0]
+        products[..., 0, k + 1] = products[..., k + 1, 0] = m[..., j, i] - m[..., i, j]
+        products[..., i + 1, j + 1] = products[..., j + 1, i + 1] = m[..., i, j] + m[..., j, i]
+    largest = np.argmax(np.diagonal(products, axis1=-2, axis2=-1), axis=-1)
+    quaternion = np.take_along_axis(products, largest[..., None, None], axis=-2)[..., 0, :]
+    quaternion = quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True)
+    quaternion *= np.where(quaternion[..., :1] < 0.0, -1.0, 1.0)
+    axis = quaternion[..., 1:]
+    sine = np.linalg.norm(axis, axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, quaternion[..., :1])
+    return np.asarray(axis * (2.0 / np.sinc(angle / (2.0 * np.pi))))
 
 
 def rotation_between(first: ArrayLike, second: ArrayLike) -> float:

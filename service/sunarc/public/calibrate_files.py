@@ -23,8 +23,6 @@ from sunarc.common.extras import extra_module
 from sunarc.formats.calibration_document import from_document
 from sunarc.formats.csv_files import read_sightings
 from sunarc.formats.lens_prior import lens_type_to_json
-from sunarc.imaging.image_circle import find_image_circle
-from sunarc.public.calibration_files import read_calibration, read_view_file
 from sunarc.public.documents import latest_times, new_document
 from sunarc.public.stated_fit import StatedStart, fit_as_stated, without_clock_column
 from sunarc.sky.site import Site
@@ -128,6 +126,8 @@ def read_points(path: Path, site: Site) -> Sightings:
 
 def read_start(path: Path) -> StatedStart:
     """Return the camera of a file of any format that is read."""
+    from sunarc.public.calibration_files import read_calibration, read_view_file  # noqa: PLC0415 - readers of all formats
+
     view = read_view_file(path)
     return StatedStart(path.name, view, None if view.camera is None else read_calibration(path))
 
@@ -137,6 +137,8 @@ def image_circle_of(text: str) -> ImageCircle:
     try:
         x, y, radius = (float(part) for part in text.split(","))
     except ValueError:
+        from sunarc.imaging.image_circle import find_image_circle  # noqa: PLC0415 - OpenCV
+
         found = find_image_circle(read_image(Path(text)))
         if found is None:
             raise InputError(

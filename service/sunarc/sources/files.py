@@ -11,9 +11,7 @@ import numpy as np
 from sunarc.common.array_types import FloatArray, Image
 from sunarc.common.errors import InputError
 from sunarc.common.foreign_files import name_text, read_regular
-from sunarc.imaging.preview import decoded
 from sunarc.optics.camera import inside_image
-from sunarc.sources.image_files import fits_image, kind_of
 
 
 def read_file(path: Path) -> bytes:
@@ -36,6 +34,9 @@ def read_lines(path: Path) -> list[str]:
 
 def read_image(path: Path) -> Image:
     """Read an image file as it is, 8 or 16 bit."""
+    from sunarc.imaging.preview import decoded  # noqa: PLC0415 - a file of numbers is read without OpenCV
+    from sunarc.sources.image_files import fits_image, kind_of  # noqa: PLC0415
+
     if kind_of(path.name) == "fits":
         return fits_image(read_file(path), name_text(path), size=None)
     image = decoded(read_file(path))

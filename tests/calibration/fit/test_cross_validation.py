@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.special import chdtri
 from tests.fixtures.calibration import observed, small_camera, small_problem, spread_directions
 
-from sunarc.calibration.fit.cross_validation import Doubts, HeldOut, doubts, held_out, without_parts
+from sunarc.calibration.fit.cross_validation import Doubts, HeldOut, chi_square_limit, doubts, held_out, without_parts
 from sunarc.calibration.fit.marginal_likelihood import Scales, marginal_fit, scale_grid
 from sunarc.calibration.fit.normal_equations import linear_system, most_probable_with_field
 from sunarc.calibration.fit.posterior import PosteriorCovariance
@@ -206,3 +207,10 @@ def test_one_day_is_left_out_in_thirds_and_a_pose_of_its_own_is_not_left_out() -
     assert _doubts(fit, usable).n == pytest.approx(PER_DAY / 3, abs=1)
     fit, usable = _fit(3)
     assert _doubts(fit, replace(usable, epoch=usable.day)).n == 0
+
+
+@pytest.mark.parametrize("chance", [1e-9, 1e-4, 0.5, 0.99])
+def test_the_limit_of_a_chi_square_is_scipys_inverse(chance: float) -> None:
+    counts = [*range(1, 60), 150, 151, 1501]
+    found = [chi_square_limit(count, chance) for count in counts]
+    np.testing.assert_allclose(found, chdtri(counts, chance), rtol=1e-12)

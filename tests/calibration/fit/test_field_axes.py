@@ -80,3 +80,15 @@ def test_the_axes_of_a_length_are_made_once(basis: WaveBasis) -> None:
     products = BasisProducts(matrix=waves.T @ waves)
     assert products.axes(basis, LENGTH) is products.axes(basis, LENGTH)
     assert products.axes(basis, LENGTH) is not products.axes(basis, 300.0)
+
+
+def test_products_of_low_rank_are_factored_and_those_of_nothing_have_no_axes(basis: WaveBasis) -> None:
+    waves = _waves(basis, 10)
+    axes = BasisProducts(matrix=waves.T @ waves).axes(basis, LENGTH)
+    spread = np.sqrt(basis.variances(length_px=LENGTH))
+    # in units of the spread the transform is orthonormal, and its axes carry all of the products
+    unit = axes.transform / spread[:, None]
+    np.testing.assert_allclose(unit.T @ unit, np.eye(10), atol=1e-12)
+    whole = waves.T @ waves * spread[:, None] * spread
+    np.testing.assert_allclose(unit * axes.information @ unit.T, whole, atol=1e-12 * np.max(whole))
+    assert BasisProducts(matrix=np.zeros_like(whole)).axes(basis, LENGTH).transform.shape == (spread.size, 0)

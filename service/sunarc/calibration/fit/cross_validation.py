@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import chdtri, fdtri
 
 from sunarc.calibration.answers.covariance import project_with_covariance, seen_sky
 from sunarc.calibration.fit.marginal_likelihood import MarginalFit, field_at, inverses, marginal_fit, prior_precision
@@ -26,6 +26,8 @@ _FOLDS = 5
 _THIRDS = 3
 _CHANCE = 1e-4
 """Of the chi-square of all errors together."""
+_HALVINGS = 52
+"""Bits of a double: halvings of an interval that end at its rounding."""
 _FURTHEST = 5.0
 """A single error, in stated sigmas, that is no chance."""
 _TURNED = 25.0
@@ -174,11 +176,34 @@ def doubts(fit: RobustFit, usable: Sightings, without: Sequence[_Without]) -> Do
     worst = max(parts, key=lambda part: float(np.max(np.abs(part.errors))))
     turned = max(parts, key=lambda part: part.turned)
     square, opened = np.concatenate([part.errors for part in parts]) ** 2, np.concatenate([part.open for part in parts])
-    together = float(np.sum(square)) / float(chdtri(square.size, _CHANCE))
+    together = float(np.sum(square)) / chi_square_limit(square.size, _CHANCE)
     excess = math.sqrt(max(float(np.max(square)) / _FURTHEST**2, together, turned.turned / _TURNED))
     larger = (float(np.sum(square[opened])) + _AS_STATED) / (np.count_nonzero(opened) + _AS_STATED)
     widening = math.sqrt(max(larger, 1.0))
     return Doubts(worst.n, worst.rmse_px, worst.stated_px, excess, widening, turned.turned, turned.turn_deg)
+
+
+@cache
+def chi_square_limit(n: int, chance: float) -> float:
+    """Return the value that the sum of n squares of standard normals exceeds with a probability.
+
+    It is `scipy.special.chdtri`, to 12 digits, whose library takes longer to load than a fit of one day takes.
+    """
+    odd = n % 2
+
+    def exceeded(half: float) -> float:
+        """Return the probability of a sum above twice `half` (Abramowitz and Stegun 26.4.4 and 26.4.5)."""
+        powers = (0.5 * odd + step for step in range(n // 2))
+        terms = sum(math.exp(power * math.log(half) - half - math.lgamma(power + 1.0)) for power in powers)
+        return terms + (math.erfc(math.sqrt(half)) if odd else 0.0)
+
+    low, high = 0.0, 1.0
+    while exceeded(high) > chance:
+        low, high = high, 2.0 * high
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if exceeded(middle) > chance else (low, middle)
+    return low + high
 
 
 def _met(without: _Without, fit: RobustFit, usable: Sightings, judged: BoolArray) -> _Part:
@@ -325,6 +350,8 @@ def _sun_scatter(fit: RobustFit, alone: MarginalFit, usable: Sightings, of_day: 
     count = 2.0 * np.count_nonzero(track)
     free_both, free_alone = (max(count - one, 1.0) for one in followed)
     more = max(free_both - free_alone, 1.0)
+    from scipy.special import fdtri  # noqa: PLC0415 - the sun's fits alone load without it
+
     by_chance = (1.0 + more / free_alone * float(fdtri(more, free_alone, 1.0 - _CHANCE))) * free_alone / free_both
     value = scatter[0] / scatter[1] * math.sqrt(free_alone / free_both)
     return value, max(_SUN_SCATTER, math.sqrt(by_chance))

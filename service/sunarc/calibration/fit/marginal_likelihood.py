@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import dpstrf
 
 from sunarc import _kernels
 from sunarc.calibration.solve.priors import DECENTERING, N_LENS, RADIAL, STRETCH, precisions
@@ -95,13 +94,17 @@ def _axes_of(spread: FloatArray, factor: FloatArray) -> FieldAxes:
 
 def _factor(products: FloatArray) -> FloatArray:
     """Return B (m, few) with B B' a matrix of products of low rank: Cholesky's, the largest left over first."""
-    largest = float(np.max(np.diag(products), initial=0.0))
-    if largest <= 0.0:
-        return np.zeros((products.shape[0], 0))
-    lower, order, rank, _ = dpstrf(products, lower=1, tol=np.finfo(np.float64).eps * largest)
-    factor = np.empty((products.shape[0], rank))
-    factor[order - 1] = np.tril(lower)[:, :rank]
-    return factor
+    left, rows = np.diag(products).copy(), np.zeros_like(products)
+    rounding = np.finfo(np.float64).eps * float(np.max(left, initial=0.0))
+    for rank in range(left.size):
+        pivot = int(np.argmax(left))
+        if left[pivot] <= rounding:
+            return rows[:rank].T
+        row = products[pivot] - rows[:rank, pivot] @ rows[:rank]
+        rows[rank] = np.where(left > 0.0, row / math.sqrt(left[pivot]), 0.0)
+        left = np.maximum(left - rows[rank] ** 2, 0.0)
+        left[pivot] = 0.0
+    return rows.T
 
 
 _POSE_PRECISION = 1e-8

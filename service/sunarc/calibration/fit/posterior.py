@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtri
 
 from sunarc import _kernels
 from sunarc.calibration.answers.covariance import hemisphere
@@ -493,7 +493,7 @@ class _Six(NamedTuple):
 
     def _drawn_higher(self) -> tuple[FloatArray, FloatArray]:
         """Return p3 and p4 (g, 2), half of their prior and half of the Gaussian, and the log of the prior over both."""
-        normal = ndtri((0.5 + np.arange(1, _DRAWN + 1)[:, None] * _EVENLY) % 1.0)
+        normal = np.vectorize(NormalDist().inv_cdf)((0.5 + np.arange(1, _DRAWN + 1)[:, None] * _EVENLY) % 1.0)
         slope, widest = self.slope(), self.scales_px.max() ** -2
         precision = slope.T @ self.information @ slope + np.diag([widest, widest, 1.0, 1.0])
         root = np.linalg.cholesky(np.linalg.inv(precision)[2:, 2:])

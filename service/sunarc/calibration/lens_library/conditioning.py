@@ -14,7 +14,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import chdtri
 
 from sunarc.calibration.answers.covariance import sky_sigma_deg
 from sunarc.calibration.fit.assemble import tidied
@@ -109,6 +108,8 @@ def _largest_square(weights: FloatArray) -> float:
     first, second = float(weights.sum()), float(weights @ weights)
     if second < 1e-12:
         return math.inf
+    from scipy.special import chdtri  # noqa: PLC0415 - a fit without a type of lens loads without it
+
     return second / first * float(chdtri(first**2 / second, _FALSE_ALARMS))
 
 

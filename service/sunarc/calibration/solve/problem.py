@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from sunarc import _kernels
 from sunarc.calibration.model.sightings import Sightings
@@ -257,10 +256,10 @@ class Bins:
         safe = np.where(total > 0.0, total, 1.0)
         share = information / safe[self.member]
         first = np.searchsorted(self.member, np.arange(self.count + 1))
-        to_means = csr_array((share, np.arange(share.size), first), shape=(self.count, share.size))
+        means = self._means(share, first)
         # the mean of directions within a bin is shorter than 1 by 1e-4 at most; it is made a unit vector below
         columns = observed.directions, observed.pixels, residual, *np.moveaxis(observed.systematic_px, 1, 0)
-        direction, pixels, mean, *systematic = (np.asarray(to_means @ column) for column in columns)
+        direction, pixels, mean, *systematic = (means(column) for column in columns)
         norm = np.linalg.norm(direction, axis=-1, keepdims=True)
         # a bin of outliers alone still needs a direction: its weight of 0 keeps it out of the sums
         empty = total <= 0.0
@@ -291,6 +290,22 @@ class Bins:
 
     def _sums(self, values: FloatArray) -> FloatArray:
         return np.asarray(np.bincount(self.member, weights=values, minlength=self.count))
+
+    def _means(self, share: FloatArray, first: IntArray) -> Callable[[FloatArray], FloatArray]:
+        """Return the function from columns (n, k) to their means (bins, k) by the shares (n,) of the bins' sightings.
+
+        `first` (bins + 1,) are the sightings that the bins begin at.
+        """
+        if share.size < _MANY:
+            return lambda columns: np.array([self._sums(share * one) for one in columns.T]).reshape(-1, self.count).T
+        from scipy.sparse import csr_array  # noqa: PLC0415 - a fit of one day loads without scipy
+
+        to_means = csr_array((share, np.arange(share.size), first), shape=(self.count, share.size))
+        return lambda columns: np.asarray(to_means @ columns)
+
+
+_MANY = 2000
+"""Sightings from which on scipy's sparse product saves more time than its library takes to load."""
 
 
 def _begin(first: BoolArray) -> IntArray:

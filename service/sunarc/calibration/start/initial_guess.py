@@ -11,7 +11,6 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.sightings import Sightings
@@ -23,7 +22,7 @@ from sunarc.common.robust_statistics import cauchy_weights, robust_sigma
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import rising_limit
 from sunarc.optics.inverse import calibrated, unproject
-from sunarc.optics.pose import rotation_matrix, rotation_vector, smallest_rotation
+from sunarc.optics.pose import rotation_matrix, rotation_vector, rotation_vectors, smallest_rotation
 from sunarc.optics.projections import angle_limit, ideal_angle, ideal_radius
 
 LARGEST_TILT = math.radians(75.0)
@@ -283,7 +282,7 @@ def ransac_rotation(camera: Camera, directions: FloatArray, pixels: FloatArray, 
     turns = np.concatenate(
         [np.zeros((1, 3)), smallest_rotation(world[thin], rays[thin]), _of_pairs(world[thin], rays[thin])]
     )
-    matrices = Rotation.from_rotvec(turns).as_matrix()
+    matrices = rotation_matrix(turns)
     separation = np.linalg.norm(np.einsum("kij,nj->kni", matrices, world[thin]) - rays[thin], axis=-1)
     off = separation / (_CLOSE_SIGMAS * sigma_px[thin] / focal)
     # a soft count: 1 for a sighting close by, 1/2 at the limit, nothing far off
@@ -302,7 +301,7 @@ def _of_pairs(world: FloatArray, rays: FloatArray) -> FloatArray:
     if pairs.shape[0] == 0:
         return np.zeros((0, 3))
     matrix = triads(rays, pairs) @ np.swapaxes(triads(world, pairs), -1, -2)
-    return np.asarray(Rotation.from_matrix(matrix).as_rotvec())
+    return rotation_vectors(matrix)
 
 
 def _distance(vectors: FloatArray, pairs: IntArray) -> FloatArray:
