@@ -13,7 +13,9 @@ import shutil
 import sys
 from pathlib import Path
 
-LINK = re.compile(r"\[([^\]]*)\]\(([^)\s#]+)(#[^)\s]*)?\)")
+LINK = re.compile(r"!?\[([^\]]*)\]\(([^)\s#]+)(#[^)\s]*)?\)")
+LEFT_OUT = {".ipynb", ".png", ".svg"}
+"""Notebooks, whose packages a field computer has not, and pictures: half of the documents' bytes."""
 DEPLOYED = ("hub/*", "sunarc.toml", "usb3.conf", "prometheus-rules.yml", "grafana-board.json")
 
 
@@ -24,7 +26,8 @@ def lay_documents(checkout: Path, folder: Path) -> None:
     pages = sorted(docs.rglob("*.md"))
     wanted = {*pages, *(target for page in pages for target in targets(page) if target.is_relative_to(docs))}
     wanted |= {file for target in wanted if target.is_dir() for file in target.iterdir()}
-    laid |= {file: folder / file.relative_to(docs) for file in wanted if file.is_file()}
+    kept = {file for file in wanted if file.suffix not in LEFT_OUT}
+    laid |= {file: folder / file.relative_to(docs) for file in kept if file.is_file()}
     for file, place in laid.items():
         place.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(file, place)
