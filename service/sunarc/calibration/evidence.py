@@ -65,7 +65,7 @@ def factored(covariance: FloatArray) -> FloatArray:
     """Return the lower Cholesky factor; LinAlgError also where a direction has no pixel and its covariance is NaN."""
     if not np.all(np.isfinite(covariance)):
         raise np.linalg.LinAlgError("an observation is where nothing is predicted")
-    return np.linalg.cholesky(covariance)
+    return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
 
 
 def whitened(covariance: FloatArray, stacked: FloatArray) -> tuple[FloatArray, float]:
