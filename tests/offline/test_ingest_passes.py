@@ -15,7 +15,7 @@ import pytest
 from tests.fixtures.calibration import SGP, small_camera, stated_calibration
 from tests.fixtures.settings import new_settings
 
-from sunarc.archives import passes, states
+from sunarc.archives import fit, passes, states
 from sunarc.archives.ingest import IngestOptions, ingest_folder
 from sunarc.archives.ingest_summary import IngestSummary
 from sunarc.calibration.model.result import Calibration, Verdict
@@ -92,8 +92,15 @@ def images(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "images"
 
 
-def ingested(images: Path, monkeypatch: pytest.MonkeyPatch, fits: Fits, **more: Any) -> IngestSummary:  # noqa: ANN401
+def ingested(
+    images: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    fits: Fits,
+    judged: Calibration = TRUTH,
+    **more: Any,  # noqa: ANN401
+) -> IngestSummary:
     monkeypatch.setattr(states, "calibrate", fits)
+    monkeypatch.setattr(fit, "calibrate", lambda *_, **__: judged)
     return ingest_folder(new_settings(images.parent), images, options=IngestOptions(**more))
 
 
@@ -183,6 +190,34 @@ def test_without_a_camera_the_first_answers_stay_and_the_reason_is_given(
     assert "20" in summary.camera_findings[0].sentence
     assert {point.ingest_pass for point in stored(images)} == {SEARCHED}
     assert summary.accepted == COUNT
+
+
+@pytest.mark.parametrize("judged", [TRUTH, replace(TRUTH, verdict=REFUSED)], ids=["accepted", "refused"])
+def test_only_an_accepted_epoch_lifts_the_refusal_of_a_sun(
+    images: Path, monkeypatch: pytest.MonkeyPatch, judged: Calibration
+) -> None:
+    """What the first pass refused in cloud, a prediction finds at a gap; images wait until an epoch is accepted."""
+    cloud, ghost = (5.0, 5.0), (40.0, 60.0)
+
+    def find_or_refuse(image: np.ndarray[Any, Any], *, expectation: Expectation | None, **more: object) -> Detection:
+        if expectation is None and image[5, 5] > 0:
+            return Detection(method="paper", accepted=False, verdict="veiled", findings=(Finding("no_round_region"),))
+        return find(image, expectation=expectation, **more)
+
+    monkeypatch.setattr(look, "detect_in_image", find_or_refuse)
+    for number in range(COUNT + 4):
+        x, y = sun_px(number)
+        draw(images, number, *{3: ((x + 5.0, y), cloud), 5: (ghost, (x, y))}.get(number, ((x, y),)))
+    summary = ingested(images, monkeypatch, Fits(TRUTH), judged)
+    veiled = next(point for number, point in enumerate(stored(images)) if number == 3)
+    if judged.verdict.accepted:
+        assert (veiled.accepted, veiled.ingest_pass, summary.camera_findings) == (True, PREDICTED, ())
+    else:
+        assert (veiled.accepted, veiled.verdict, veiled.ingest_pass) == (False, "veiled", SEARCHED)
+        assert summary.camera_findings == REFUSED.findings
+        assert max(errors_px([point for point in stored(images) if point.accepted])) < 1.0  # a sighting may move
+        again = ingested(images, monkeypatch, Fits(TRUTH), TRUTH)
+        assert (again.known, stored(images)[3].accepted) == (COUNT + 4, True)
 
 
 def refusing() -> Calibration:

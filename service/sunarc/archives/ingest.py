@@ -13,10 +13,10 @@ from typing import Self, cast, get_args
 
 import numpy as np
 
-from sunarc.archives.fit import CameraSightings, Rough, first_analysis
+from sunarc.archives.fit import CameraSightings, Rough, first_analysis, fit_poses
 from sunarc.archives.ingest_summary import IngestSummary, write_contact_sheet
 from sunarc.archives.ledger import ANY, ImageId, KeptMask, Known
-from sunarc.archives.passes import FoundSun, Looked, Passes, id_of, predictions, scatter_beyond_px
+from sunarc.archives.passes import Found, FoundSun, Looked, Passes, epoch_at, id_of, predictions, scatter_beyond_px
 from sunarc.archives.pool import ProcessRunner
 from sunarc.archives.states import ArchiveCamera, Epoch, State, disagreeing_days
 from sunarc.calibration.model.options import ImageCircle
@@ -175,7 +175,8 @@ def _predicted(passes: Passes, store: FolderLedger, mask: PackedMask | None) -> 
         return rough.findings
     # where no state explains a day, the camera's pose on it is unknown: its sightings stay as they are
     doubtful = disagreeing_days(points, rough.states, camera)
-    looked = store.looked(without_days=doubtful)
+    refused = _refused_epochs(store, points, rough, camera)
+    looked = _without_refusals(store.looked(without_days=doubtful), rough.epochs, refused)
     states = [one._replace(clock_offset_s=0.0) if _is_time_zone(one.clock_offset_s) else one for one in rough.states]
     images = replace(store.camera, images=looked.images)
     expected = predictions(images, states, rough.epochs, misfit_px=_misfits_px(points, rough, camera))
@@ -186,7 +187,7 @@ def _predicted(passes: Passes, store: FolderLedger, mask: PackedMask | None) -> 
         ValidCamera(states[one.state].calibration, one.start_unix_s, one.end_unix_s + 1e-6) for one in rough.epochs
     ]
     learn_sigma(store.archive, store.settings, valid, now=SystemClock().now())
-    return (*doubtful.values(), *_mirrored(states, store.settings))
+    return (*doubtful.values(), *refused.values(), *_mirrored(states, store.settings))
 
 
 def _camera(store: FolderLedger) -> ArchiveCamera:
@@ -211,6 +212,35 @@ def _served_state(served: Calibration, points: Sightings) -> State:
     stated = points.sigma_px[np.isfinite(points.sigma_px)]
     sigma_px = max(float(np.nan_to_num(served.evidence.sigma_px)), float(np.median(stated)) if stated.size else 0.0)
     return State(served, 0, 0, 0.0, sigma_px)
+
+
+def _refused_epochs(store: FolderLedger, points: Sightings, rough: Rough, camera: ArchiveCamera) -> dict[int, Finding]:
+    """Return the epochs whose sightings give no calibration, with the finding against each; that of a served is one."""
+    served = store.archive.calibrations.current_model(store.settings.name) is not None
+    poses = [rough.states[one.state].pose for one in rough.epochs]
+    if not len(points) or (served and not any(poses)):
+        return {}
+    path = np.repeat([one.state for one in rough.epochs], [1 + one.last - one.first for one in rough.epochs])
+    fitted = fit_poses(points, path, rough.states, camera)
+    verdicts = {number: fitted[pose].calibration.verdict for number, pose in enumerate(poses) if pose or not served}
+    return {number: verdict.findings[0] for number, verdict in verdicts.items() if not verdict.accepted}
+
+
+def _without_refusals(looked: Looked, epochs: Sequence[Epoch], refused: Container[int]) -> Looked:
+    """Return images without those in refused epochs whose sun was refused: the prediction of such a one proves nothing.
+
+    They wait as they are for a calibration that is accepted; see `without_lifted`.
+    """
+    pairs = [
+        (image, one)
+        for image, one in zip(looked.images, looked.found, strict=True)
+        if not (_is_refusal(one) and epoch_at(epochs, image.unix_s) in refused)
+    ]
+    return Looked(tuple(image for image, _ in pairs), tuple(one for _, one in pairs))
+
+
+def _is_refusal(found: Found) -> bool:
+    return isinstance(found, FoundSun) and not found.accepted and found.verdict != IN_STACK
 
 
 def _misfits_px(points: Sightings, rough: Rough, camera: ArchiveCamera) -> list[float]:
