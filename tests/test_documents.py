@@ -11,16 +11,18 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 LINK = re.compile(r"\]\(([^)\s#]+)[^)\s]*\)")
-WITH_EXAMPLES = sorted(path.name for path in DOCS.glob("*.md") if ">>> " in path.read_text())
+PAGES = [*ROOT.glob("*.md"), *DOCS.glob("*.md")]
+WITH_EXAMPLES = sorted(str(path.relative_to(ROOT)) for path in PAGES if ">>> " in path.read_text())
 
 
-def test_the_conventions_have_their_example() -> None:
-    assert "conventions.md" in WITH_EXAMPLES
+def test_the_pages_that_show_values_have_their_examples() -> None:
+    assert {"README.md", "docs/conventions.md", "docs/maths.md"} <= set(WITH_EXAMPLES)
 
 
 @pytest.mark.parametrize("name", WITH_EXAMPLES)
-def test_the_examples_do_what_they_say(name: str) -> None:
-    result = doctest.testfile(str(DOCS / name), module_relative=False, encoding="utf-8")
+def test_the_examples_do_what_they_say(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    result = doctest.testfile(str(ROOT / name), module_relative=False, encoding="utf-8")
     assert result.attempted > 0
     assert result.failed == 0
 
@@ -51,6 +53,8 @@ def dead(folder: Path) -> list[tuple[str, str]]:
 def test_no_link_of_the_documents_is_dead() -> None:
     assert len(links(DOCS)) > 50
     assert dead(DOCS) == []
+    beside = [(page.name, target) for page in ROOT.glob("*.md") for target in LINK.findall(page.read_text())]
+    assert [one for one in beside if "://" not in one[1] and not (ROOT / one[1]).exists()] == []
 
 
 def test_no_link_of_the_packaged_documents_is_dead_or_leaves_their_folder(tmp_path: Path) -> None:
