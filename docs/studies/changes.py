@@ -24,10 +24,11 @@ from real_like_tracks import drawn_aside
 from scipy.spatial.transform import Rotation
 
 from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.model.pose_change import PoseChange
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.changes.detect_change import update_window
-from sunarc.changes.values import Change, Sighting, SightingWindow, WatchOptions
+from sunarc.changes.online import details_of, update_window
+from sunarc.changes.values import Sighting, SightingWindow, WatchOptions
 from sunarc.lab.simulation.truth import SGP, true_camera
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
@@ -72,7 +73,7 @@ def calibrated() -> Calibration:
 
 def looked(
     watch: SightingWindow, calibration: Calibration, times: FloatArray, pixels: FloatArray, **told: bool
-) -> tuple[SightingWindow, int, Change | None]:
+) -> tuple[SightingWindow, int, PoseChange | None]:
     """Return the watch after sightings, how many it took, and the change it found."""
     directions = sun_directions(times, SGP)
     for number, (unix_s, pixel, direction) in enumerate(zip(times, pixels, directions, strict=True), 1):
@@ -98,7 +99,7 @@ def false_alarms(days: int, calibration: Calibration, cadence_s: float) -> None:
         total += times.size
         watch, _, change = looked(watch, calibration, times, pixels)
         if change is not None:
-            found.append((day, change.kind, change.text))
+            found.append((day, change.cause, details_of(change)["text"]))
             watch = SightingWindow()
     print(f"{days} days, {total} sightings: {len(found)} false alarms {found}")
 
@@ -117,7 +118,7 @@ def clouded(days: int, calibration: Calibration, cadence_s: float) -> int:
         total += times.size
         watch, number, change = looked(watch, calibration, times, pixels)
         if change is not None:
-            found.append((day, number, change.kind, change.text))
+            found.append((day, number, change.cause, details_of(change)["text"]))
             watch = SightingWindow()
     print(f"{days} days with cloud, a sighting every {cadence_s:g} s, {total}: {len(found)} false alarms", flush=True)
     for one in found:
@@ -192,10 +193,10 @@ def changes(trials: int, calibration: Calibration, cadence_s: float) -> None:
             _, number, found = looked(
                 SightingWindow(), calibration, times[inside], pixels[inside], clock_stepped=name.startswith("clock")
             )
-            called["nothing" if found is None else found.kind] += 1
+            called["nothing" if found is None else found.cause] += 1
             if found is not None:
                 took.append(number - 40)
-                off.append(abs(found.at_unix_s - times[40]) / cadence_s)
+                off.append(abs(found.time - times[40]) / cadence_s)
         worst = (f"{np.median(took):.0f}, at most {max(took)}", f"at most {max(off):.0f}") if took else ("-", "-")
         print(f"{name:20s}{worst[0]:>16s}{worst[1]:>14s}  {dict(called)}", flush=True)
 

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.changes.daily_rotations import DailyRotations
-from sunarc.changes.rotation_steps import FEWEST_AGREEING, agreeing, explain_step, find_steps
+from sunarc.changes.fleet import FEWEST_AGREEING, agreeing, explain_step, find_steps
 from sunarc.sky.site import Site
 
 Array = NDArray[np.float64]
@@ -116,18 +116,20 @@ def named(cameras: list[DailyRotations], changed: int, cause: str) -> tuple[set[
     for night in NIGHTS:
         compared = [until(one, night) for one in cameras]
         for number, step in enumerate(find_steps(compared)):
-            explained = None if step is None else explain_step(step, before=SITE, after=SITE)
-            if step is None or explained is None or explained.cause == "slow_turn":
+            if step is None:
+                continue
+            explained, confidence = explain_step(step, before=SITE, after=SITE)
+            if explained.cause == "slow_turn":
                 continue
             what = "wrong camera" if number >= changed else "right"
-            if what == "right" and abs(step.day - CHANGED) >= 5.0:
+            if what == "right" and abs(step.time - CHANGED) >= 5.0:
                 what = "other day"
             elif what == "right" and explained.cause != cause:
                 what = "moved" if explained.cause == "moved" else "other cause"
             agreed = agreeing(compared, number, step) >= FEWEST_AGREEING
             said |= {f"alone: {what}", what if agreed else "unconfirmed"}
             if agreed:
-                sure.append((explained.confidence, what == "right"))
+                sure.append((confidence, what == "right"))
     return said, sure
 
 

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from real_like_tracks import Track, real_like_track
 
-from sunarc.calibration.change_points import calibrate_moved
+from sunarc.changes.record import calibrate_moved
 
 SIZES_DEG = (0.05, 0.1, 0.2, 0.5, 1.0, 3.0)
 _NEAR = 30
@@ -44,7 +44,7 @@ def outcome(track: Track) -> Outcome:
     took = time.process_time() - begun
     moves, times = solved.evidence.moves, track.points.unix_s
     row = int(np.searchsorted(times, track.moved_at))
-    off = [abs(int(np.searchsorted(times, move.after_unix_s)) - row) for move in moves]
+    off = [abs(int(np.searchsorted(times, move.time)) - row) for move in moves]
     misdated = min(off) if off and np.isfinite(track.moved_at) else None
     return Outcome(tuple(move.turn_deg for move in moves), solved.verdict.accepted, misdated, took)
 

@@ -24,9 +24,9 @@ from sunarc.calibration.evidence import DAYS_GAIN
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.changes.daily_rotations import DailyRotations, daily_rotations, step_gains
-from sunarc.changes.detect_change import update_window
-from sunarc.changes.rotation_steps import explain_step, find_steps
-from sunarc.changes.step_search import find_pose_steps
+from sunarc.changes.fleet import explain_step, find_steps
+from sunarc.changes.online import update_window
+from sunarc.changes.record import find_pose_steps
 from sunarc.changes.values import Sighting, SightingWindow, WatchOptions
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_directions
@@ -137,7 +137,7 @@ def within_record(rng: np.random.Generator, case: str) -> list[str]:
     """Return the steps of the pose in ten days."""
     seen = points(rng, case, times_of(range(10), 150), day=5)
     steps = find_pose_steps(seen, site=SITE, image_size=SIZE, options=OPTIONS)
-    return ["step" + dated(step.after_unix_s, 5) for step in steps]
+    return ["step" + dated(step.time, 5) for step in steps]
 
 
 def archive(rng: np.random.Generator, case: str) -> list[str]:
@@ -158,7 +158,7 @@ def online(rng: np.random.Generator, case: str) -> list[str]:
         one = Sighting(unix_s=unix_s, pixel=tuple(pixel), direction=tuple(direction), sigma_px=NOISE_PX)
         watch, change = update_window(watch, one, calibration=lens, site=SITE, options=WatchOptions())
         if change is not None:
-            return [change.kind + dated(change.at_unix_s, 6)]
+            return [change.cause + dated(change.time, 6)]
     return []
 
 
@@ -178,11 +178,9 @@ def neighbours(rng: np.random.Generator, case: str) -> list[str]:
         day = np.floor((unix_s - START) / DAY_S)
         group.append(daily_rotations(day, observed=observed, expected=sun_directions(unix_s, SITE)))
     steps = find_steps(group)
-    said = [None if step is None else explain_step(step, before=SITE, after=SITE) for step in steps]
+    said = [None if step is None else explain_step(step, before=SITE, after=SITE)[0] for step in steps]
     return [
-        one.cause
-        + ("" if number == 0 else " of a neighbour")
-        + ("" if abs(one.change.day - 30.0) <= 2.0 else " misdated")
+        one.cause + ("" if number == 0 else " of a neighbour") + ("" if abs(one.time - 30.0) <= 2.0 else " misdated")
         for number, one in enumerate(said)
         if one is not None
     ]

@@ -22,8 +22,8 @@ from real_like_tracks import Track, real_like_track
 
 from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.change_points import calibrate_moved
 from sunarc.calibration.model.result import Calibration
+from sunarc.changes.record import calibrate_moved
 from sunarc.common.robust_statistics import tukey_loss
 from sunarc.optics.forward import project
 from sunarc.optics.projections import angle_limit

@@ -14,11 +14,12 @@ import pytest
 from tests.fixtures.calibration import SGP, filtered_sightings, small_camera, stated_calibration, sun_arc
 from tests.fixtures.stored_answers import require_stored
 
-from sunarc.calibration import change_points as module
 from sunarc.calibration.answers.error_model import rotated
-from sunarc.calibration.change_points import calibrate_moved, log_bayes_factor
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
+from sunarc.changes import record as module
+from sunarc.changes import step_evidence
+from sunarc.changes.record import calibrate_moved, log_bayes_factor
 from sunarc.common.array_types import FloatArray, IntArray
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
@@ -102,7 +103,7 @@ def test_jumps_are_where_lines_miss_one_another_by_four_sigmas() -> None:
 def test_a_jump_of_four_thousandths_of_a_pixel_is_the_smallest(jump_px: float, found: list[int]) -> None:
     residual = 1e-9 * np.random.default_rng(2).standard_normal((120, 2))
     residual[20:, 0] += jump_px
-    assert [one.row for one in module.jumps_within_days(residual, usable(60.0 * np.arange(120.0)))][:1] == found
+    assert [row for row, _ in module.jumps_within_days(residual, usable(60.0 * np.arange(120.0)))][:1] == found
 
 
 def nights(*differences: float) -> tuple[FloatArray, Sightings]:
@@ -128,10 +129,10 @@ def nights(*differences: float) -> tuple[FloatArray, Sightings]:
 )
 def test_a_night_stands_out_by_four_times_the_usual(differences: tuple[float, ...], rows: list[int]) -> None:
     residual, some = nights(*differences)
-    assert [(one.row, one.smallest_deg) for one in module.night_changes(residual, some)] == [(r, 0.05) for r in rows]
+    assert module.night_changes(residual, some) == [(r, 0.05) for r in rows]
     # a night between two poses is known already
     known = replace(some, epoch=(np.arange(len(some)) >= 30).astype(np.int64))
-    assert all(one.row != 30 for one in module.night_changes(residual, known))
+    assert all(row != 30 for row, _ in module.night_changes(residual, known))
 
 
 def same_hours_by_hand(residual: FloatArray, some: Sightings, early: IntArray, late: IntArray) -> float:
@@ -171,7 +172,7 @@ def test_rows_of_groups_have_the_variance_of_medians_and_of_gross_errors() -> No
     residual = rng.normal(0.0, 0.2, (n, 2))
     residual[member == 9] += [6.0, -3.0]
     picked, row = np.arange(n), int(np.flatnonzero(member == 14)[0])
-    rows = module.step_rows(picked, member, row, some, residual)
+    rows = step_evidence.step_rows(picked, member, row, some, residual)
     groups = [np.flatnonzero(member == k) for k in range(30)]
     medians = np.array([np.median(residual[g], axis=0) for g in groups])
     middle = [int(g[0]) + len(g) // 2 for g in groups]
@@ -198,7 +199,7 @@ def test_rows_of_groups_have_the_variance_of_medians_and_of_gross_errors() -> No
 def test_cloud_is_looked_for_at_every_half_of_a_length_and_about_the_step() -> None:
     time = np.cumsum(np.r_[0.0, np.random.default_rng(2).uniform(100.0, 500.0, 49)])
     some = usable(time)
-    rows = module.step_rows(np.arange(50), np.arange(50), 22, some, np.zeros((50, 2)))
+    rows = step_evidence.step_rows(np.arange(50), np.arange(50), 22, some, np.zeros((50, 2)))
     expected = []
     for long in (900.0, 2400.0, 4500.0):
         begins = [time[0], time[-1] - long, time[22] - long - 1.0, time[22], time[22] - long / 2.0]
@@ -207,7 +208,7 @@ def test_cloud_is_looked_for_at_every_half_of_a_length_and_about_the_step() -> N
             begins.append(time[0] + k * long / 2.0)
             k += 1
         expected += [(begin, begin + long) for begin in begins]
-    np.testing.assert_allclose(sorted(module.cloud_windows(rows)), sorted(expected))
+    np.testing.assert_allclose(sorted(step_evidence.cloud_windows(rows)), sorted(expected))
 
 
 def step_case(
@@ -290,11 +291,11 @@ def moved_at(
     points = Sightings.of(unix_s=times, pixels=pixels)
     found = calibrate_moved(points, site=SGP, image_size=(640, 480))
     moves = found.calibration.evidence.moves
-    assert [one.after_unix_s - one.before_unix_s for one in moves] == pytest.approx([180.0] * len(moves))
-    assert all(before.after_unix_s < after.before_unix_s for before, after in pairwise(moves))
+    assert [one.bracket[1] - one.bracket[0] for one in moves] == pytest.approx([180.0] * len(moves))
+    assert all(before.time < after.bracket[0] for before, after in pairwise(moves))
     codes = [one.code for one in found.calibration.verdict.findings]
     assert codes.count("pose_changed") == len(moves)
-    return [(int(np.searchsorted(times, one.after_unix_s)), one.turn_deg) for one in moves]
+    return [(int(np.searchsorted(times, one.time)), one.turn_deg) for one in moves]
 
 
 def test_moves_are_found_at_their_rows(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,9 +16,10 @@ from tests.finding_codes import codes
 
 from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.change_points import calibrate_moved
 from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.pose_change import pose_before
 from sunarc.calibration.model.sightings import Sightings
+from sunarc.changes.record import calibrate_moved
 from sunarc.common.array_types import stacked
 from sunarc.formats.calibration_document import from_document, to_document
 from sunarc.optics.camera import Camera
@@ -56,10 +57,11 @@ def test_a_move_within_a_day_is_dated_to_the_sighting_and_both_sides_get_their_p
     assert calibration.verdict.accepted, calibration.verdict.reasons
     (move,) = calibration.evidence.moves
     row = int(np.ceil(0.6 * len(points)))
-    assert (move.before_unix_s, move.after_unix_s) == (points.unix_s[row - 1], points.unix_s[row])
+    assert move.bracket == (points.unix_s[row - 1], points.unix_s[row])
     assert np.array_equal(parted.epoch, np.arange(len(points)) >= row)
     assert after.sky_error_px(calibration.camera) < 0.3
-    assert before.sky_error_px(replace(calibration.camera, rotation_cam_enu=move.pose_before)) < 0.3
+    ended = pose_before(calibration.camera.rotation_cam_enu, move.rotation_deg)
+    assert before.sky_error_px(replace(calibration.camera, rotation_cam_enu=ended)) < 0.3
     assert "pose_changed" in codes(calibration.verdict.findings)
 
 
@@ -69,7 +71,7 @@ def test_a_move_at_night_is_found_between_the_days(simulator: Simulator, days: t
     second = simulator(turned(first.camera, 0.5), days=days, cadence_s=300.0, seed=2)
     night = (int(np.argmax(np.diff(first.points.unix_s))) + 1) / len(first.points)
     (move,) = calibrate_moved(moved_after(night, first, second), site=first.site, image_size=SIZE)[0].evidence.moves
-    assert 6.0 < (move.after_unix_s - move.before_unix_s) / 3600.0 - 24.0 * (days[1] - 1.0) < 14.0
+    assert 6.0 < (move.bracket[1] - move.bracket[0]) / 3600.0 - 24.0 * (days[1] - 1.0) < 14.0
     assert move.turn_deg == pytest.approx(0.5, abs=0.1)
 
 
@@ -152,7 +154,9 @@ def test_a_document_tells_the_moves(simulator: Simulator) -> None:
         software_version="0",
     )
     assert calibration.evidence.moves
-    assert from_document(document).evidence.moves == calibration.evidence.moves
+    for read, made in zip(from_document(document).evidence.moves, calibration.evidence.moves, strict=True):
+        assert (read.time, read.bracket, read.cause) == (made.time, made.bracket, made.cause)
+        np.testing.assert_allclose(read.rotation_deg, made.rotation_deg, atol=1e-9)
     # the fit with the move is held against parts of its sightings, too, and the document says so
     assert calibration.evidence.held_out["n"] > 0
     assert from_document(document).evidence.held_out == calibration.evidence.held_out
@@ -173,5 +177,5 @@ def test_the_half_of_a_real_track_that_is_turned_gets_its_own_pose() -> None:
     later = np.arange(times.size) >= 240
     points = replace(points, pixels=points.pixels + later[:, None] * apart)
     (move,) = calibrate_moved(points, site=site, image_size=(1920, 1920), options=options)[0].evidence.moves
-    assert (move.before_unix_s, move.after_unix_s) == (times[239], times[240])
+    assert move.bracket == (times[239], times[240])
     assert move.turn_deg == pytest.approx(1.0, abs=0.2)

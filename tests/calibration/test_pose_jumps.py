@@ -10,12 +10,11 @@ import pytest
 from numpy.typing import NDArray
 from tests.fixtures.calibration import filtered_sightings, small_camera, stated_calibration, sun_arc
 
-from sunarc.calibration import change_points as module
 from sunarc.calibration.answers.error_model import rotated
-from sunarc.calibration.change_points import best_row
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.changes import step_search as search
+from sunarc.changes import record as module
 from sunarc.changes.daily_rotations import DailyRotations
+from sunarc.changes.record import best_row
 from sunarc.optics.forward import project
 
 FloatArray = NDArray[np.float64]
@@ -53,8 +52,8 @@ def test_a_jump_within_a_day_is_suggested_where_it_is() -> None:
     residual[90:] += [0.4, -0.3]
     found = module.jumps_within_days(residual, _usable(60.0 * np.arange(200.0)))
     assert 1 <= len(found) <= 3
-    assert abs(found[0].row - 90) <= 2
-    assert found[0].smallest_deg == 0.0
+    assert abs(found[0][0] - 90) <= 2
+    assert found[0][1] == 0.0
 
 
 def test_noise_and_smooth_errors_suggest_no_jump() -> None:
@@ -141,22 +140,22 @@ def test_places_are_about_the_clearest_step_and_none_without() -> None:
     rng = np.random.default_rng(1)
     turns = rng.normal(0.0, 0.003, (30, 3))
     turns[12:, 2] += 0.4
-    assert search.step_spans(_daily(turns)) == [(100 + 12 - 3, 100 + 12 + 2)]
-    assert search.step_spans(_daily(rng.normal(0.0, 0.003, (30, 3)))) == []
-    assert search.step_spans(_daily(np.zeros((0, 3)))) == []
+    assert module.step_spans(_daily(turns)) == [(100 + 12 - 3, 100 + 12 + 2)]
+    assert module.step_spans(_daily(rng.normal(0.0, 0.003, (30, 3)))) == []
+    assert module.step_spans(_daily(np.zeros((0, 3)))) == []
 
 
 def test_steps_that_overlap_one_another_count_once() -> None:
-    steps = [search.PoseStep(10.0, 20.0, 0.3), search.PoseStep(15.0, 25.0, 0.3), search.PoseStep(20.0, 30.0, 0.1)]
-    assert search.distinct_steps(steps) == [steps[0], steps[2]]
-    assert search.distinct_steps([]) == []
+    steps = [module.PoseStep(10.0, 20.0, 0.3), module.PoseStep(15.0, 25.0, 0.3), module.PoseStep(20.0, 30.0, 0.1)]
+    assert module.distinct_steps(steps) == [steps[0], steps[2]]
+    assert module.distinct_steps([]) == []
 
 
 @pytest.mark.parametrize(("row", "expected"), [(1, (100, 103)), (29, (126, 129))])
 def test_places_near_an_end_of_the_record_begin_or_end_with_it(row: int, expected: tuple[int, int]) -> None:
     turns = np.random.default_rng(2).normal(0.0, 0.003, (30, 3))
     turns[row:, 2] += 0.4
-    assert search.step_spans(_daily(turns))[0] == expected
+    assert module.step_spans(_daily(turns))[0] == expected
 
 
 @pytest.mark.parametrize("late_s", [0.0, 200.0, 400.0])

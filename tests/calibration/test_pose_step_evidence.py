@@ -12,10 +12,10 @@ from scipy.special import gamma, kv
 from scipy.stats import multivariate_normal
 from tests.fixtures.calibration import filtered_sightings, small_camera, sun_arc
 
-from sunarc.calibration import change_points as module
 from sunarc.calibration.answers.error_model import rotated
-from sunarc.calibration.change_points import Amplitudes, Episode, log_bayes_factor
 from sunarc.calibration.model.sightings import Sightings
+from sunarc.changes import step_evidence as module
+from sunarc.changes.step_evidence import Amplitudes, Episode, log_bayes_factor
 from sunarc.optics.forward import project
 
 FloatArray = NDArray[np.float64]

@@ -31,8 +31,8 @@ from sunarc.calibration.answers.covariance import (
 from sunarc.calibration.answers.direction_table import back_projection_map, lookup
 from sunarc.calibration.answers.error_model import draw_ensemble, rotated
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.change_points import jumps_within_days, line_misses, night_changes
 from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.pose_change import PoseChange
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings, filter_sightings, static_positions, static_sightings
 from sunarc.calibration.noise import autocorrelation_inflation, growth_rate, lag_one, neighbours
@@ -52,8 +52,9 @@ from sunarc.changes.daily_rotations import (
     find_change,
     step_gains,
 )
-from sunarc.changes.detect_change import update_window
-from sunarc.changes.values import Change, Sighting, SightingWindow, WatchOptions
+from sunarc.changes.online import details_of, update_window
+from sunarc.changes.record import jumps_within_days, line_misses, night_changes
+from sunarc.changes.values import Sighting, SightingWindow, WatchOptions
 from sunarc.optics.backward import fit_backward
 from sunarc.optics.forward import project
 from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles
@@ -206,8 +207,9 @@ def _days_of(seed: int) -> DailyRotations:
 
 def _steps(_: Given) -> Numbers:
     days = _days_of(4)
-    found = find_change(days, 10.0)
-    assert found is not None
+    shown_change = find_change(days, 10.0)
+    assert shown_change is not None
+    found, _ = shown_change
     shown = as_shown(days, found.likeliest)
     assert shown is not None
     rng = np.random.default_rng(2)
@@ -216,7 +218,7 @@ def _steps(_: Given) -> Numbers:
     off /= np.linalg.norm(off, axis=-1, keepdims=True)
     daily = daily_rotations(np.tile(np.arange(3.0), 30), observed=off, expected=sun)
     return {
-        "codes": [found.day, found.n_before, found.n_after, shown.n_before],
+        "codes": [found.time, *found.bracket, shown.time],
         "numbers": [
             found.gain,
             *found.rotation_deg,
@@ -237,7 +239,7 @@ def _offset(given: Given) -> Numbers:
     points = replace(given.day.points, pixels=project(turned, sun) + noise).select(slice(None, None, 4))
     found = daily_pose_offset(points, calibration=given.fit, site=SGP)
     assert found is not None
-    return {"codes": [found.n], "numbers": [*found.turn_deg, *found.sigma_deg]}
+    return {"codes": [], "numbers": [*found.rotation_deg[0], *np.sqrt(np.diag(found.covariance_deg2[0]))]}
 
 
 def _jumps(_: Given) -> Numbers:
@@ -249,7 +251,7 @@ def _jumps(_: Given) -> Numbers:
     residual[130:160] += [0.6, -0.4]
     residual[160:] += [1.0, 0.8]
     misses = line_misses(residual, times)
-    rows = [one.row for one in (*jumps_within_days(residual, usable), *night_changes(residual, usable))]
+    rows = [row for row, _ in (*jumps_within_days(residual, usable), *night_changes(residual, usable))]
     return {"codes": [int(row) for row in rows], "numbers": [x for each in misses for x in each[[10, 60, 118, 200]]]}
 
 
@@ -282,12 +284,13 @@ def _change(given: Given) -> Numbers:
     raise AssertionError("no change")
 
 
-def _changed(change: Change) -> Numbers:
-    times = [change.at_unix_s, change.earliest_unix_s, change.latest_unix_s]
+def _changed(change: PoseChange) -> Numbers:
+    times = [change.time, *change.bracket]
+    said = details_of(change)
     since = [(each - NOON_13_MAY_2013 - _DAY_S) / 60.0 for each in times]
     return {
-        "codes": [change.kind, change.unit, change.agreeing, change.of, change.perhaps, *np.round(since).tolist()],
-        "numbers": [change.size, change.size_sigma, change.gain],
+        "codes": [*(said[key] for key in ("kind", "unit", "agreeing", "of", "perhaps")), *np.round(since).tolist()],
+        "numbers": [said["size"], said["size_sigma"], change.gain],
     }
 
 

@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from tests.calibration.conftest import NOON_13_MAY_2013, SGP, TRUTH
 
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.change_points import calibrate_moved
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, PaperOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.pose import estimate_pose
+from sunarc.changes.record import calibrate_moved
 from sunarc.optics.camera import PARAMETER_NAMES, Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles
@@ -133,7 +133,7 @@ def _answer(solved: Calibration) -> dict[str, list[float]]:
         "camera": solved.camera.to_vector().tolist(),
         "sigma": np.sqrt(np.diag(solved.covariance)).tolist(),
         "poses": np.ravel(solved.poses).tolist(),
-        "moves": [x for m in solved.evidence.moves for x in (m.before_unix_s, m.after_unix_s, m.turn_deg)],
+        "moves": [x for m in solved.evidence.moves for x in (*m.bracket, m.turn_deg)],
         "noise": [solved.evidence.sigma_px, solved.evidence.inflation],
         "metrics": [solved.metrics.rmse_px, solved.metrics.mae_px, solved.metrics.rmse_deg],
         "sky_deg": [solved.sky_rms_deg, solved.sky_max_deg],

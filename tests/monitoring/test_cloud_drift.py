@@ -13,8 +13,8 @@ from scipy.special import gamma, kv, logsumexp
 from tests.fixtures.calibration import small_camera, stated_calibration, sun_arc
 
 from sunarc.calibration.evidence import fit_inlier_mixture, log_evidence
-from sunarc.changes import detect_change as module
-from sunarc.changes.detect_change import Drift, ResidualModel, drift_evidence, update_window, window_of
+from sunarc.changes import online as module
+from sunarc.changes.online import Drift, ResidualModel, drift_evidence, update_window, window_of
 from sunarc.changes.values import Sighting, SightingWindow, WatchOptions
 from sunarc.lab.simulation.truth import SGP
 from sunarc.optics.forward import project
@@ -91,7 +91,7 @@ def _kinds(drift: FloatArray, *, widest_deg: float, cadence_s: float, seed: int 
     ):
         one = Sighting(unix_s=cadence_s * row, pixel=tuple(pixel), direction=tuple(direction), sigma_px=0.02)
         watch, change = update_window(watch, one, calibration=calibration, site=SGP, options=WatchOptions())
-        kinds += [] if change is None else [change.kind]
+        kinds += [] if change is None else [change.cause]
     return kinds
 
 

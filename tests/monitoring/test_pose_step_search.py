@@ -11,9 +11,10 @@ from tests.fixtures.calibration import SGP, small_camera, stated_calibration
 
 from sunarc.calibration.answers.error_model import rotated
 from sunarc.calibration.model.options import CalibrationOptions
-from sunarc.calibration.model.result import Calibration, Move
+from sunarc.calibration.model.pose_change import PoseChange, turn_between
+from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.changes import step_search as module
+from sunarc.changes import record as module
 from sunarc.changes.daily_rotations import DailyRotations
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
@@ -37,15 +38,17 @@ def test_each_step_is_dated_by_the_poses_on_its_two_sides(monkeypatch: pytest.Mo
     at_last = np.where(row < 40, project(second, sun), project(third, sun))
     points = Sightings.of(unix_s=times, pixels=np.where(row < 20, project(first, sun), at_last))
     moves = (
-        _move(times[15], times[25], 0.6, first),
-        _move(times[33], times[44], 0.7, second),
+        _move(times[15], times[25], first, second),
+        _move(times[33], times[44], second, third),
     )
     solved = stated_calibration(third)
     solved = replace(solved, evidence=replace(solved.evidence, moves=moves))
     monkeypatch.setattr(module, "calibrate_moved", lambda *_, **__: (solved, None))
-    assert SEARCH._verified(points, points) == [
-        module.PoseStep(float(times[19]), float(times[20]), 0.6),
-        module.PoseStep(float(times[39]), float(times[40]), 0.7),
+    found = SEARCH._verified(points, points)
+    assert [step.time for step in found] == [float(times[20]), float(times[40])]
+    assert [step.bracket for step in found] == [
+        (float(times[19]), float(times[20])),
+        (float(times[39]), float(times[40])),
     ]
 
 
@@ -56,7 +59,7 @@ def test_the_days_about_a_jump_are_fitted_and_no_others(monkeypatch: pytest.Monk
     first = int(solar_days(times[:1], longitude=SGP.longitude)[0])
     fitted: list[list[int]] = []
 
-    def verified(_: module.StepSearch, whole: Sightings, some: Sightings) -> list[module.PoseStep]:
+    def verified(_: module.StepSearch, whole: Sightings, some: Sightings) -> list[PoseChange]:
         assert len(whole) == len(points)
         fitted.append(np.unique(solar_days(some.unix_s, longitude=SGP.longitude)).tolist())
         return []
@@ -71,13 +74,9 @@ def test_the_days_about_a_jump_are_fitted_and_no_others(monkeypatch: pytest.Monk
     assert fitted == [[first + 4, first + 5, first + 6], [first, first + 1]]
 
 
-def _move(before_unix_s: float, after_unix_s: float, turn_deg: float, before: Camera) -> Move:
-    return Move(
-        before_unix_s=before_unix_s,
-        after_unix_s=after_unix_s,
-        turn_deg=turn_deg,
-        pose_before=before.rotation_cam_enu,
-    )
+def _move(last: float, first: float, before: Camera, after: Camera) -> PoseChange:
+    turn = turn_between(before.rotation_cam_enu, after.rotation_cam_enu)
+    return PoseChange(time=first, bracket=(last, first), rotation_deg=turn, cause="moved")
 
 
 def _known_lens() -> Calibration:

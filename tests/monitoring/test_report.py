@@ -8,8 +8,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from sunarc.changes.detect_change import describe_change
-from sunarc.changes.values import Change
+from sunarc.calibration.model.pose_change import PoseChange
+from sunarc.changes.online import describe_change, details_of
 
 TIMES = 1000.0 + 60.0 * np.arange(10)
 
@@ -21,7 +21,7 @@ class _Watch:
         return int(TIMES.size)
 
 
-def described(first: int, inlier: list[int], *, alike: list[int]) -> Change:
+def described(first: int, inlier: list[int], *, alike: list[int]) -> PoseChange:
     """Describe a mirrored image, a change without a size."""
     window: Any = SimpleNamespace(watch=_Watch(), error_model=SimpleNamespace(selected=(), rotation=slice(0, 3)))
     mask = np.zeros(TIMES.size, dtype=np.bool_)
@@ -48,11 +48,11 @@ def test_a_change_is_dated_between_sightings(
     first: int, inlier: list[int], alike: list[int], times: tuple[int, int, int]
 ) -> None:
     change = described(first, inlier, alike=alike)
-    found = (change.earliest_unix_s, change.at_unix_s, change.latest_unix_s)
+    found = (change.bracket[0], change.time, change.bracket[1])
     assert found == tuple(TIMES[number] for number in times)
 
 
 def test_those_that_agree_are_counted_from_the_change_on() -> None:
     change = described(4, [1, 4, 5, 8], alike=[])
-    assert (change.agreeing, change.of, change.gain) == (3, 6, 12.0)
-    assert (change.size, change.size_sigma) == (0.0, 0.0)
+    assert (details_of(change)["agreeing"], details_of(change)["of"], change.gain) == (3, 6, 12.0)
+    assert (details_of(change)["size"], details_of(change)["size_sigma"]) == (0.0, 0.0)

@@ -14,7 +14,7 @@ from tests.fixtures.calibration import SGP, small_camera, stated_calibration, su
 
 from sunarc.calibration.answers.error_model import joint_covariance
 from sunarc.calibration.model.result import Calibration
-from sunarc.changes.detect_change import errors_at, wandering, window_of
+from sunarc.changes.online import errors_at, wandering, window_of
 from sunarc.changes.values import SightingWindow, WatchOptions
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix, rotation_vector

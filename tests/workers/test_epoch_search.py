@@ -18,8 +18,9 @@ from tests.workers.conftest import refit_worker
 from sunarc.calibration.answers.covariance import project_with_covariance
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.pose_change import PoseChange
 from sunarc.calibration.model.result import Calibration
-from sunarc.changes.step_search import PoseStep, find_pose_steps
+from sunarc.changes.record import find_pose_steps
 from sunarc.common.findings import Finding
 from sunarc.formats.calibration_document import from_document
 from sunarc.imager.archive.archive import Archive, CameraArchive
@@ -85,7 +86,7 @@ def solve_here(problem: SolveProblem, *_: object) -> Calibration:
     return calibrate(problem.points, site=problem.site, image_size=problem.image_size, options=problem.options)
 
 
-def search_here(problem: SolveProblem, *_: object) -> tuple[PoseStep, ...]:
+def search_here(problem: SolveProblem, *_: object) -> tuple[PoseChange, ...]:
     return find_pose_steps(
         problem.points, site=problem.site, image_size=problem.image_size, options=problem.options, lens=problem.lens
     )
@@ -228,7 +229,7 @@ def test_a_search_whose_process_was_killed_is_begun_once_more(
     import_record(archive, times, pixels)
     begun: list[int] = []
 
-    def search_at_the_second_time(problem: SolveProblem, *_: object) -> tuple[PoseStep, ...]:
+    def search_at_the_second_time(problem: SolveProblem, *_: object) -> tuple[PoseChange, ...]:
         begun.append(1)
         if len(begun) == 1:
             raise SolverDiedError(Finding("solver_died", {"end": "signal 9"}))

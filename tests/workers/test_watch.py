@@ -17,11 +17,12 @@ from tests.fixtures.archive import make_empty
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.pose_change import PoseChange
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.changes import detect_change
-from sunarc.changes.detect_change import update_window
-from sunarc.changes.values import Change, Sighting, SightingWindow, WatchOptions
+from sunarc.changes import online
+from sunarc.changes.online import update_window
+from sunarc.changes.values import Sighting, SightingWindow, WatchOptions
 from sunarc.common.errors import OutsideError
 from sunarc.common.findings import from_json, uncoded
 from sunarc.formats.calibration_document import from_document, to_document
@@ -214,7 +215,7 @@ def test_a_camera_that_looks_elsewhere_is_followed(imager: Imager) -> None:
 def test_a_move_for_which_no_pose_is_found_is_one_event_and_one_epoch(
     imager: Imager, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(detect_change, "REMEMBERED", 12)
+    monkeypatch.setattr(online, "REMEMBERED", 12)
     moved = turned(TRUTH, (12.0, 8.0, -20.0))
     monkeypatch.setattr(imager.watch.reposer, "improve", lambda: False)
     imager.see_many(TRUTH, range(-10, 0))
@@ -381,7 +382,7 @@ def test_sightings_are_compared_with_the_sun_in_the_measured_air(
         *,
         site: Site,
         **how: Any,  # noqa: ANN401 - of observe
-    ) -> tuple[SightingWindow, Change | None]:
+    ) -> tuple[SightingWindow, PoseChange | None]:
         compared.append(seen.direction)
         assert site == (air if len(compared) == 2 else SGP)
         return update_window(watched, seen, site=site, **how)

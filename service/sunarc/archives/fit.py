@@ -27,6 +27,7 @@ from sunarc.archives.states import (
 from sunarc.calibration.acceptance import apart_sigmas
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions, Mirrored
+from sunarc.calibration.model.pose_change import PoseChange
 from sunarc.calibration.model.result import Calibration, refused_for, with_finding
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.projection_choice import options_as_served
@@ -35,13 +36,13 @@ from sunarc.calibration.quality.tilt import tilt_question
 from sunarc.calibration.quality.widening import with_clock, with_larger_errors, with_pose_spread
 from sunarc.calibration.selection import select_sightings, surest_of_epochs
 from sunarc.changes.epoch_changes import (
-    DriftWithin,
-    Side,
     agreeing_days,
     change_within,
+    drift_finding,
     drift_within,
     is_of_lens,
     noise_of_days,
+    spread_deg,
 )
 from sunarc.common.array_types import FloatArray, IntArray, stacked
 from sunarc.common.findings import Finding
@@ -86,7 +87,8 @@ def with_changes_within(points: Sightings, states: Sequence[State], camera: Arch
                 camera.shifted(of_epoch, state.clock_offset_s), state.calibration.camera, camera.site, noise[rows]
             )
             if change is not None:
-                sides = of_epoch.select(slice(0, change.row)), of_epoch.select(slice(change.row, None))
+                late = of_epoch.unix_s - state.clock_offset_s >= change.time
+                sides = of_epoch.select(~late), of_epoch.select(late)
                 found += changed_states(found, state, sides, change.cause, camera)
                 split = True
         if not split:
@@ -113,14 +115,14 @@ def with_lenses_apart(
         if before.lens != after.lens or before.pose == after.pose:
             continue
         sides = [
-            Side(
+            (
                 camera.shifted(points.select(rows), state.clock_offset_s),
-                noise[rows],
                 fitted[state.pose].calibration.camera,
+                noise[rows],
             )
             for rows, state in ((slice(one.first, one.last + 1), before), (slice(other.first, other.last + 1), after))
         ]
-        if not is_of_lens(sides[0], sides[1], camera.site):
+        if not is_of_lens(sides, camera.site):
             continue
         free = 1 + max(state.lens for state in found)
         earlier = {found[each.state].pose for each in epochs[:number]}
@@ -345,7 +347,7 @@ def _drifts(calibration: Calibration) -> bool:
     return any(one.code in _DRIFTS for one in calibration.verdict.findings)
 
 
-def _drift_of(final: Final, given: CameraSightings, noise: FloatArray, run: Sequence[Epoch]) -> DriftWithin | None:
+def _drift_of(final: Final, given: CameraSightings, noise: FloatArray, run: Sequence[Epoch]) -> PoseChange | None:
     """Return what the sightings of consecutive epochs say of a drift, about the camera of the longest of them."""
     state = final.states[_longest(run).state]
     rows = slice(run[0].first, run[-1].last + 1)
@@ -363,12 +365,13 @@ def _without_drifts(final: Final, given: CameraSightings, noise: FloatArray) -> 
         for begin in range(len(epochs) - count + 1):
             run = epochs[begin : begin + count]
             drift = None if taken & set(range(begin, begin + count)) else _drift_of(final, given, noise, run)
-            if drift is None or drift.finding is None or (count > 1 and drift.over_steps < 0.0):
+            finding = None if drift is None else drift_finding(drift)
+            if finding is None:
                 continue
             taken |= set(range(begin, begin + count))
             longest = states[_longest(run).state]
             pose = 1 + max(one.pose for one in states)
-            fitted[pose] = _refused(fitted[longest.pose], drift.finding)
+            fitted[pose] = _refused(fitted[longest.pose], finding)
             path[run[0].first : run[-1].last + 1] = len(states)
             states.append(longest._replace(pose=pose))
     return _of_path(final, Final(tuple(states), (), path, fitted), given.points)
@@ -398,9 +401,10 @@ def _allowing_for_drift(final: Final, given: CameraSightings, noise: FloatArray)
         drift = _drift_of(final, given, noise, [epoch]) if pose in spread else None
         if drift is None:
             continue
-        spread[pose] = np.maximum(spread[pose], drift.spread_deg)
-        if drift.finding is not None:
-            fitted[pose] = _refused(fitted[pose], drift.finding)
+        spread[pose] = np.maximum(spread[pose], spread_deg(drift))
+        finding = drift_finding(drift)
+        if finding is not None:
+            fitted[pose] = _refused(fitted[pose], finding)
     for pose, largest in spread.items():
         fitted[pose] = fitted[pose]._replace(calibration=with_pose_spread(fitted[pose].calibration, largest.tolist()))
     return final._replace(fitted=fitted)

@@ -24,7 +24,7 @@ from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.pose import estimate_pose
 from sunarc.calibration.quality.fit_checks import is_undetermined
 from sunarc.calibration.quality.tilt import mount_density
-from sunarc.changes.epoch_changes import Cause, noise_of_days
+from sunarc.changes.epoch_changes import EpochCause, noise_of_days
 from sunarc.common.array_types import BoolArray, FloatArray, IntArray, evenly_spread
 from sunarc.common.findings import Finding
 from sunarc.common.robust_statistics import finite, robust_sigma
@@ -366,7 +366,7 @@ def _of_explained_days(near: BoolArray, day: IntArray) -> BoolArray:
 
 
 def changed_states(
-    states: Sequence[State], state: State, sides: tuple[Sightings, Sightings], cause: Cause, camera: ArchiveCamera
+    states: Sequence[State], state: State, sides: tuple[Sightings, Sightings], cause: EpochCause, camera: ArchiveCamera
 ) -> list[State]:
     """Return the states of sightings before and after a change within a state, new poses and lenses numbered anew.
 
@@ -407,7 +407,7 @@ class Epoch(NamedTuple):
     """
 
     state: int
-    cause: Cause
+    cause: EpochCause
     first: int
     last: int
     start_unix_s: float
@@ -496,7 +496,7 @@ def epochs_of(path: IntArray, states: Sequence[State], points: Sightings) -> lis
     return epochs
 
 
-def cause_of(former: State, state: State) -> Cause:
+def cause_of(former: State, state: State) -> EpochCause:
     """Return what changed from one state to the next."""
     if state.lens != former.lens:
         return "lens"

@@ -77,29 +77,67 @@ def whitened(covariance: FloatArray, stacked: FloatArray) -> tuple[FloatArray, f
     return np.asarray(white), float(np.sum(np.log(np.diag(factor))))
 
 
-def log_marginal(values: FloatArray, covariance: FloatArray, columns: FloatArray | None = None) -> float:
-    """Return the log density of observations, the free numbers of an explanation integrated out.
+class Explained(NamedTuple):
+    """Evidence of an explanation, and the estimate of its free numbers of unit prior variance."""
+
+    log_evidence: float
+    """Log density of the observations, the free numbers integrated out."""
+    mean: FloatArray
+    """(p,) most probable free numbers."""
+    covariance: FloatArray
+    """(p, p) covariance of these."""
+
+
+def explained(values: FloatArray, covariance: FloatArray, columns: FloatArray | None = None) -> Explained:
+    """Return the evidence of an explanation, and the estimate of its free numbers.
 
     Parameters
     ----------
     values : (n, a) observed minus predicted: `a` axes that err independently and alike.
-    covariance : (n, n) of each axis.
+    covariance : (n, n) of each axis; (n,) where the observations err independently.
     columns : (n, a, p) by how much each free number, of unit prior variance, moves the prediction; None without any.
     """
     n, axes = values.shape
     count = 0 if columns is None else columns.shape[-1]
     stacked = values if columns is None else np.concatenate([values, columns.reshape(n, axes * count)], axis=1)
-    white, half_log = whitened(covariance, stacked)
-    left = white[:, :axes]
-    square, log_determinant = float(np.sum(left**2)), 2.0 * axes * half_log
-    if count:
-        # Woodbury's identity: the free numbers' covariance is added to that of the values
-        rows = white[:, axes:].reshape(n, axes, count)
-        information = np.eye(count) + np.einsum("nai,naj->ij", rows, rows, optimize=True)
-        gradient = np.einsum("nai,na->i", rows, left)
-        square -= float(gradient @ np.linalg.solve(information, gradient))
-        log_determinant += float(np.linalg.slogdet(information).logabsdet)
-    return float(-0.5 * (square + log_determinant + n * axes * math.log(2.0 * math.pi)))
+    if covariance.ndim == 1:
+        white, half_log = stacked / np.sqrt(covariance)[:, None], 0.5 * float(np.sum(np.log(covariance)))
+    else:
+        white, half_log = whitened(covariance, stacked)
+    left, rows = white[:, :axes], white[:, axes:].reshape(n, axes, count)
+    # Woodbury's identity: the free numbers' covariance is added to that of the values
+    information = np.eye(count) + np.einsum("nai,naj->ij", rows, rows, optimize=True)
+    gradient = np.einsum("nai,na->i", rows, left)
+    mean = np.linalg.solve(information, gradient)
+    square = float(np.sum(left**2)) - float(gradient @ mean)
+    log_determinant = 2.0 * axes * half_log + float(np.linalg.slogdet(information).logabsdet)
+    log_density = -0.5 * (square + log_determinant + n * axes * math.log(2.0 * math.pi))
+    return Explained(log_density, mean, np.linalg.inv(information))
+
+
+def log_marginal(values: FloatArray, covariance: FloatArray, columns: FloatArray | None = None) -> float:
+    """Return the log density of observations, the free numbers integrated out, see `explained`."""
+    return explained(values, covariance, columns).log_evidence
+
+
+def step_evidences(values: FloatArray, common: FloatArray, step: FloatArray) -> FloatArray:
+    """Return (n,): log evidence of a change before each observation, up to the constant of all (`explained`).
+
+    Parameters
+    ----------
+    values : (n, a) observed minus predicted, whitened.
+    common : (n, a, p) columns of all observations.
+    step : (n, a, q) columns of those from the change on.
+    """
+    both = np.concatenate([common, step], axis=-1)
+    size, total = common.shape[-1], both.shape[-1]
+    # sums over the observations from each on
+    products = np.cumsum(np.einsum("nap,naq->npq", both, both)[::-1], axis=0)[::-1].copy()
+    pulls = np.cumsum(np.einsum("nap,na->np", both, values)[::-1], axis=0)[::-1].copy()
+    products[:, :size, :size], pulls[:, :size] = products[0, :size, :size].copy(), pulls[0, :size].copy()
+    information = np.eye(total) + products
+    means = np.linalg.solve(information, pulls[..., None])[..., 0]
+    return np.asarray(0.5 * (np.sum(pulls * means, axis=1) - np.linalg.slogdet(information).logabsdet))
 
 
 def matern_3_2(lag: FloatArray, scale: float) -> FloatArray:

@@ -25,6 +25,7 @@ from sunarc.calibration.answers.error_model import (
     predicted,
 )
 from sunarc.calibration.evidence import whitened
+from sunarc.calibration.model.pose_change import PoseChange, progress
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.pose import fit_pose, gathered, inflation_of, with_noise
@@ -32,6 +33,7 @@ from sunarc.common.array_types import BoolArray, FloatArray, IntArray, picked
 from sunarc.common.robust_statistics import MAD_TO_SIGMA, biweights, finite
 from sunarc.optics.camera import Camera
 from sunarc.optics.pose import rotation_matrix
+from sunarc.sky.days import solar_days
 from sunarc.sky.site import Site
 
 FEWEST = 20
@@ -58,6 +60,11 @@ class DailyRotations:
     day: FloatArray
     rotation_deg: FloatArray
     covariance_deg2: FloatArray
+
+    @classmethod
+    def of_no_day(cls) -> DailyRotations:
+        """Return the rotations of no day."""
+        return cls(day=np.zeros(0), rotation_deg=np.zeros((0, 3)), covariance_deg2=np.zeros((0, 3, 3)))
 
 
 def daily_rotations(day: FloatArray, *, observed: FloatArray, expected: FloatArray) -> DailyRotations:
@@ -117,61 +124,11 @@ _WINDOW, _HOP = 30, 15
 """Days of a long record that are compared at once, and from one such window to the next."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RotationStep:
-    """A change of a camera's rotation: a step, or a slow turn.
-
-    Attributes
-    ----------
-    day : the first one after a step, or on which a turn begins.
-    last_day : the last one that was compared.
-    settling_days : the time in which a turn does 0.63 of its way, days; infinite at one rate, 0 for a step.
-    rotation_deg : (3,) after minus before, about east, north and up; of a turn, up to the last day.
-    covariance_deg2 : (3, 3) of it, by the scatter and the drift of the days.
-    gain : by how many powers of e the change explains the days better than none.
-    n_before, n_after : days.
-    slower : of a step, the slow turn that explains the days best in its place.
-    """
-
-    day: float
-    last_day: float
-    settling_days: float = 0.0
-    rotation_deg: FloatArray
-    covariance_deg2: FloatArray
-    gain: float
-    n_before: int
-    n_after: int
-    slower: RotationStep | None = None
-
-    @property
-    def likeliest(self) -> RotationStep:
-        """The change of the larger gain: the step, or the slow turn in its place."""
-        return self if self.slower is None or self.gain >= self.slower.gain else self.slower
-
-    def progress(self, day: FloatArray) -> FloatArray:
-        """Return which part of the change was done on days (n,): 0 before it, 1 on the last day."""
-        return _progress(day, self.day, self.last_day, self.settling_days)
-
-
-def _progress(day: FloatArray, first: float, last: float, settling_days: float) -> FloatArray:
-    since = np.maximum(day - first, 0.0)
-    if settling_days == 0.0:
-        return np.asarray(day >= first, dtype=np.float64)
-    if np.isinf(settling_days):
-        return np.asarray(since / (last - first))
-    return np.asarray(np.expm1(-since / settling_days) / np.expm1(-(last - first) / settling_days))
-
-
-def is_recent(step: RotationStep) -> bool:
-    """Whether a step has too few days yet: it may be one of cloud, and would pass for a turn that began before it."""
-    return step.settling_days == 0.0 and step.n_after < _FEWEST_AFTER
-
-
-def find_change(days: DailyRotations, min_gain: float) -> RotationStep | None:
+def find_change(days: DailyRotations, min_gain: float) -> tuple[PoseChange, bool] | None:
     """Return the step that explains a camera's daily rotations best; None where none does so clearly.
 
-    Where no step does, but a slow turn, that is returned; or a step of the last days, which is not reported yet
-    (`is_recent`).
+    Where no step does, but a slow turn, that is returned; or a step of the last days, and that it has too few days yet:
+    it may be one of cloud, and would pass for a turn that began before it.
 
     Parameters
     ----------
@@ -185,36 +142,35 @@ def find_change(days: DailyRotations, min_gain: float) -> RotationStep | None:
     axes, fits = _fitted(days, tried.progress)
     gain = np.sum([fit.gain for fit in fits], axis=0)
 
-    def change(of_kind: BoolArray) -> RotationStep:
+    def change(of_kind: BoolArray) -> PoseChange:
         best = int(np.argmax(np.where(of_kind, gain, -np.inf)))
-        first = int(tried.first[best])
-        return RotationStep(
-            day=float(days.day[first]),
-            last_day=float(days.day[-1]),
-            settling_days=float(tried.settling_days[best]),
+        first, settling = int(tried.first[best]), float(tried.settling_days[best])
+        day = float(days.day[first])
+        return PoseChange(
+            time=day,
+            bracket=(float(days.day[first - 1]), day) if settling == 0.0 else (day, float(days.day[-1])),
+            settling=settling,
+            cause="moved" if settling == 0.0 else "slow_turn",
             **_size(axes, fits, best),
-            n_before=first,
-            n_after=n - first,
         )
 
     is_step = tried.settling_days == 0.0
     recent = is_step & (tried.first > n - _FEWEST_AFTER)
     step, turn, newest = change(is_step & ~recent), change(~is_step), change(recent)
     if newest.gain > max(min_gain, step.gain, turn.gain):
-        return newest
+        return newest, True
     if step.gain >= min_gain:
-        return replace(step, slower=turn)
-    return turn if turn.gain >= min_gain else None
+        return replace(step, slower=turn), False
+    return (turn, False) if turn.gain >= min_gain else None
 
 
-def as_shown(days: DailyRotations, change: RotationStep) -> RotationStep | None:
+def as_shown(days: DailyRotations, change: PoseChange) -> PoseChange | None:
     """Return a change that was found elsewhere, with its size and gain by these days; None where they are too few."""
-    n_before = int(np.searchsorted(days.day, change.day))
-    n_after = len(days.day) - n_before
-    if min(n_before, n_after) < _FEWEST_AFTER:
+    n_before = int(np.searchsorted(days.day, change.time))
+    if min(n_before, len(days.day) - n_before) < _FEWEST_AFTER:
         return None
     axes, fits = _fitted(days, change.progress(days.day)[:, None])
-    return replace(change, **_size(axes, fits, 0), n_before=n_before, n_after=n_after, slower=None)
+    return replace(change, **_size(axes, fits, 0), slower=None)
 
 
 def step_gains(days: DailyRotations) -> FloatArray:
@@ -251,8 +207,8 @@ def _changes(day: FloatArray) -> _Changes:
     steps = [(first, 0.0) for first in range(_FEWEST_BEFORE, n)]
     turns = [(first, tau) for tau in _SETTLING_DAYS for first in range(0, n - _FEWEST_AFTER + 1, 2)]
     first, settling = (np.array(column) for column in zip(*steps, *turns, strict=True))
-    progress = [_progress(day, float(day[k]), float(day[-1]), tau) for k, tau in (*steps, *turns)]
-    return _Changes(first, settling, np.array(progress).T)
+    shares = [progress(day, float(day[k]), float(day[-1]), tau) for k, tau in (*steps, *turns)]
+    return _Changes(first, settling, np.array(shares).T)
 
 
 class _Fits(NamedTuple):
@@ -320,25 +276,8 @@ def _limited(rotations: FloatArray) -> FloatArray:
 # The same with what the calibration states of its own errors.
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PoseOffset:
-    """A small turn of the camera against its calibration.
-
-    Attributes
-    ----------
-    turn_deg : about the axes to the east, to the north and up, degrees, right-handed: positive about "up" turns the
-        camera counter-clockwise as seen from above.
-    sigma_deg : 1-sigma of each.
-    n : sightings that it rests on.
-    """
-
-    turn_deg: tuple[float, float, float]
-    sigma_deg: tuple[float, float, float]
-    n: int
-
-
-def daily_pose_offset(points: Sightings, *, calibration: Calibration, site: Site) -> PoseOffset | None:
-    """Return the mean rotation of a camera on a day; None with fewer than 20 inliers.
+def daily_pose_offset(points: Sightings, *, calibration: Calibration, site: Site) -> DailyRotations | None:
+    """Return the mean rotation of a camera on one day; None with fewer than 20 inliers.
 
     The lens is the calibration's; what that says of its own errors along the day's track widens the sigmas.
 
@@ -359,9 +298,11 @@ def daily_pose_offset(points: Sightings, *, calibration: Calibration, site: Site
     together = gathered(camera, sightings, inlier, inflation=inflation_of(calibration))
     rotation, covariance = _gls_rotation(error_model_of(calibration), camera, together)
     to_enu = -rotation_matrix(camera.rotation_cam_enu).T  # a camera that turns one way sees the sky turn the other
-    sigma = np.sqrt(np.diag(to_enu @ covariance @ to_enu.T))
-    (east, north, up), (s_east, s_north, s_up) = np.degrees(to_enu @ rotation).tolist(), np.degrees(sigma).tolist()
-    return PoseOffset(turn_deg=(east, north, up), sigma_deg=(s_east, s_north, s_up), n=int(inlier.sum()))
+    day = solar_days(usable.unix_s[:1], longitude=site.longitude).astype(np.float64)
+    rotation_deg = np.degrees(to_enu @ rotation)[None]
+    return DailyRotations(
+        day=day, rotation_deg=rotation_deg, covariance_deg2=np.degrees(np.degrees(to_enu @ covariance @ to_enu.T))[None]
+    )
 
 
 def _gls_rotation(error_model: CameraErrorModel, camera: Camera, sightings: Sightings) -> tuple[FloatArray, FloatArray]:

@@ -10,27 +10,32 @@ half-day (cloud, glare) is no noise that many sightings average out, and is allo
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from sunarc.calibration.evidence import SEQUENCE_GAIN, Weighed, most_probable
+from sunarc.calibration.evidence import SEQUENCE_GAIN, Explained, Weighed, explained, most_probable, step_evidences
+from sunarc.calibration.model.pose_change import PoseChange
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.quality.day_arcs import smooth_arc
-from sunarc.changes.detect_change import rarity
+from sunarc.changes.online import rarity
 from sunarc.common.array_types import FloatArray, IntArray
 from sunarc.common.findings import Finding
 from sunarc.common.robust_statistics import robust_sigma
+from sunarc.common.utc import DAY_S
 from sunarc.optics.camera import POSE, Camera, Param
 from sunarc.optics.forward import by_direction, project_fast, project_with_rows_fast
-from sunarc.sky.days import solar_days
+from sunarc.sky.days import SECONDS_PER_DEGREE, solar_days
 from sunarc.sky.site import Site, pole_enu
 from sunarc.sky.sun import hour_angle, sun_directions
 
-Cause = Literal["start", "moved", "lens", "clock", "unexplained"]
+StepCause = Literal["moved", "lens", "clock"]
+EpochCause = StepCause | Literal["start", "unexplained"]
+N_TURN = 3
+_OF_POSE_OR_LENS: tuple[StepCause, ...] = ("moved", "lens")
 
 _FEWEST_OF_ARC, _MANY_OF_ARC = 9, 60
 """Sightings of a day that show its noise; that of fewer is the usual one of all days."""
@@ -63,44 +68,24 @@ _DRIFT_STATED_DEG = 0.05
 """Root mean square of a drift up to which it is allowed for by the uncertainty; every mount leans within a decade."""
 _ONE_VIEW = 0.1
 """Of the focal length: how far off one camera's predictions the days of its drift lie, at most."""
-_DEG_PER_S = 360.0 / 86_400.0
 
 
-class ChangeWithin(NamedTuple):
-    """A change within a state: the first sighting after it, what changed, and by how many powers of e likelier."""
+def spread_deg(drift: PoseChange) -> FloatArray:
+    """Return (3,): root mean square of a drift's turn between two times about east, north and up, degrees.
 
-    row: int
-    cause: Cause
-    gain: float
-
-
-class DriftWithin(NamedTuple):
-    """What sightings say of a drift of the mount, or of the clock: the sun does not tell that from one about the pole.
-
-    clock: whether it is about the pole. log_odds: by how many powers of e it is likelier than no drift and no change.
-    over_steps: by how many it is likelier than the changes that were found, and by less than they are rarer.
-    turn_deg: of the camera from the first sighting to the last, about the pole where it is one of the clock; days
-    between them. spread_deg: root mean square of the turn between two times about east, north and up, weighted by how
-    probable a drift is.
+    Weighted by how probable the drift is.
     """
+    # between two times of the epoch, twice the mean square from its middle, which is a third of that at its ends
+    probable = 1.0 / (1.0 + math.exp(-min(drift.gain, 50.0)))
+    mean_square = 0.25 * (drift.rotation_deg**2 + np.diag(drift.covariance_deg2))
+    return np.asarray(np.sqrt(2.0 / 3.0 * probable * mean_square))
 
-    clock: bool
-    log_odds: float
-    over_steps: float
-    turn_deg: float
-    days: float
-    spread_deg: tuple[float, float, float]
 
-    @property
-    def finding(self) -> Finding | None:
-        """That the sightings are of no one camera; None where they may be."""
-        if self.log_odds < _DRIFT_GAIN or max(self.spread_deg) < _DRIFT_STATED_DEG:
-            return None
-        said = {"turn_deg": self.turn_deg, "days": self.days, "log_odds": self.log_odds}
-        if not self.clock:
-            return Finding("mount_drifts", said)
-        # where the clock is ahead the sun stands farther east than predicted, as in a camera turned clockwise
-        return Finding("clock_drifts_on", {**said, "s_per_day": -self.turn_deg / _DEG_PER_S / max(self.days, 1.0)})
+def drift_finding(drift: PoseChange) -> Finding | None:
+    """Return that the sightings of an epoch are of no one camera; None where they may be."""
+    if drift.gain < _DRIFT_GAIN or max(spread_deg(drift)) < _DRIFT_STATED_DEG:
+        return None
+    return Finding("clock_drifts_on" if drift.cause == "clock" else "mount_drifts", drift.data)
 
 
 def noise_of_days(points: Sightings, site: Site) -> FloatArray:
@@ -147,18 +132,18 @@ def _noise_beside_neighbours(pixels: FloatArray, angle: FloatArray) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Linear:
-    """Residuals of n sightings and what moves them, whitened: values (2 n,), columns (2 n, p) of prior variance 1.
+    """Residuals of n sightings and what moves them, whitened: values (n, 2), columns (n, 2, p) of prior variance 1.
 
-    turns: (2 n, 3) by a degree about east, north and up.
+    turns: (n, 2, 3) by a degree about east, north and up.
     """
 
     values: FloatArray
     common: FloatArray
-    steps: dict[Cause, FloatArray]
+    steps: dict[StepCause, FloatArray]
     turns: FloatArray
 
 
-def change_within(points: Sightings, camera: Camera, site: Site, noise_px: FloatArray) -> ChangeWithin | None:
+def change_within(points: Sightings, camera: Camera, site: Site, noise_px: FloatArray) -> PoseChange | None:
     """Return the likeliest change among sightings that one camera is said to have seen; None where none is likelier.
 
     Parameters
@@ -170,41 +155,46 @@ def change_within(points: Sightings, camera: Camera, site: Site, noise_px: Float
     linear, index = _seen(points, camera, site, noise_px)
     if linear is None:
         return None
-    weighed = [Weighed(ChangeWithin(0, "start", 0.0), _log_evidence(linear.common, linear.values))]
-    none = weighed[0].log_evidence
+    none = step_evidences(linear.values, linear.common, linear.common[..., :0])[0]
+    weighed: list[Weighed[PoseChange | None]] = [Weighed(None, 0.0)]
     for cause, columns in linear.steps.items():
-        gains = np.array(list(_gains(linear, columns))) - none
-        row = _FEWEST_BESIDE + int(np.argmax(gains))
-        rarer = 0.0 if cause == "moved" else rarity("clock" if cause == "clock" else "lens", clock_stepped=False)
-        change = ChangeWithin(int(index[row]), cause, float(gains.max()) - rarer)
-        weighed.append(Weighed(change, none + float(gains.max()), rarer + SEQUENCE_GAIN))
-    best = most_probable(weighed).explanation
-    return None if best.cause == "start" else best
+        gains = step_evidences(linear.values, linear.common, columns)[_FEWEST_BESIDE:-_FEWEST_BESIDE]
+        gain = float(gains.max() - none)
+        first, rarer = int(index[_FEWEST_BESIDE + int(np.argmax(gains))]), _rarer(cause)
+        turned = np.concatenate([columns[..., N_TURN:], linear.turns], axis=-1) * (index >= first)[:, None, None]
+        turn = _explained(linear, turned)
+        change = PoseChange(
+            time=float(points.unix_s[first]),
+            bracket=(float(points.unix_s[first - 1]), float(points.unix_s[first])),
+            rotation_deg=turn.mean[-N_TURN:],
+            covariance_deg2=turn.covariance[-N_TURN:, -N_TURN:],
+            cause=cause,
+            gain=gain - rarer,
+        )
+        weighed.append(Weighed(change, gain, rarer + SEQUENCE_GAIN))
+    return most_probable(weighed).explanation
 
 
-class Side(NamedTuple):
-    """Sightings (n,) on one side of a change, at the times of the clock, their noise, and the camera of its state."""
-
-    points: Sightings
-    noise_px: FloatArray
-    camera: Camera
-
-
-def is_of_lens(before: Side, after: Side, site: Site) -> bool:
+def is_of_lens(sides: Sequence[tuple[Sightings, Camera, FloatArray]], site: Site) -> bool:
     """Return whether a change between two poses that were found for one lens is likelier one of the lens, too.
 
     Parameters
     ----------
-    before, after : its sides; each camera is linear about the sightings of its own.
+    sides : sightings before and after it, at the times of the clock, the camera of their state and their noise (n,);
+        each camera is linear about the sightings of its own.
     site : where the camera stands.
     """
-    first, second = (_seen(one.points, one.camera, site, one.noise_px)[0] for one in (before, after))
+    first, second = (_seen(points, camera, site, noise_px)[0] for points, camera, noise_px in sides)
     if first is None or second is None:
         return False
-    common, values = np.concatenate([first.common, second.common]), np.concatenate([first.values, second.values])
+    both = replace(
+        first,
+        values=np.concatenate([first.values, second.values]),
+        common=np.concatenate([first.common, second.common]),
+    )
     moved, lens = (
-        _log_evidence(np.column_stack([common, np.concatenate([0.0 * first.steps[one], second.steps[one]])]), values)
-        for one in ("moved", "lens")
+        _explained(both, np.concatenate([0.0 * first.steps[one], second.steps[one]])).log_evidence
+        for one in _OF_POSE_OR_LENS
     )
     return lens - moved > _LENS_AMONG_CHANGES
 
@@ -221,9 +211,17 @@ def _seen(points: Sightings, camera: Camera, site: Site, noise_px: FloatArray) -
 
 
 def drift_within(
-    points: Sightings, camera: Camera, site: Site, noise_px: FloatArray, *, changes: Sequence[tuple[int, Cause]] = ()
-) -> DriftWithin | None:
-    """Return what sightings say of a drift instead of changes; None where they are too few or of another camera.
+    points: Sightings,
+    camera: Camera,
+    site: Site,
+    noise_px: FloatArray,
+    *,
+    changes: Sequence[tuple[int, EpochCause]] = (),
+) -> PoseChange | None:
+    """Return the drift of a mount, or of a clock: the sun does not distinguish that from one about the pole.
+
+    Its gain is that over no drift and no change. None where the sightings are too few or of another camera, or where
+    changes explain them better.
 
     Parameters
     ----------
@@ -237,33 +235,39 @@ def drift_within(
         return None
     times = points.unix_s[index]
     half_s = 0.5 * float(times[-1] - times[0])
-    along = np.repeat((times - times[0]) / half_s - 1.0, 2)[:, None]
-    none = _log_evidence(linear.common, linear.values)
+    along = ((times - times[0]) / half_s - 1.0)[:, None, None]
+    none = _explained(linear).log_evidence
     found = dict[bool, float]()
     for clock, turns in ((True, linear.turns @ pole_enu(site)[:, None]), (False, linear.turns)):
-        each = [
-            _log_evidence(np.concatenate([linear.common, _drifting(one * turns, along)], axis=1), linear.values)
-            for one in _DRIFT_DEG
-        ]
+        each = [_explained(linear, _drifting(one * turns, along)).log_evidence for one in _DRIFT_DEG]
         found[clock] = float(np.logaddexp.reduce(each)) - math.log(len(each)) - none
-    clock = found[True] >= found[False] - 1.0
-    log_odds = max(found.values())
-    stepped, rarer = [linear.common], 0.0
-    for row, cause in changes:
-        kind: Cause = cause if cause in linear.steps else "moved"
-        stepped.append(linear.steps[kind] * np.repeat(index >= row, 2)[:, None])
-        rarer += SEQUENCE_GAIN + (
-            0.0 if kind == "moved" else rarity("clock" if kind == "clock" else "lens", clock_stepped=False)
-        )
-    steps = _log_evidence(np.concatenate(stepped, axis=1), linear.values) - none
-    over_steps = log_odds - SEQUENCE_GAIN - (steps - rarer)
-    mean_deg, product = _posterior_turn(linear, along)
-    pole = pole_enu(site)
-    turn_deg = 2.0 * float(mean_deg @ pole if clock else np.linalg.norm(mean_deg))
-    # between two times of the epoch, twice the mean square from its middle, which is a third of that at its ends
-    probable = 1.0 / (1.0 + math.exp(-min(log_odds, 50.0)))
-    east, north, up = np.sqrt(2.0 / 3.0 * probable * np.diag(product)).tolist()
-    return DriftWithin(clock, log_odds, over_steps, turn_deg, 2.0 * half_s / 86_400.0, (east, north, up))
+    gain = max(found.values())
+    if changes:
+        causes: list[StepCause] = [cause if cause in linear.steps else "moved" for _, cause in changes]
+        begun = [(index >= row)[:, None, None] for row, _ in changes]
+        steps = _explained(linear, *(linear.steps[one] * late for one, late in zip(causes, begun, strict=True)))
+        rarer = sum(SEQUENCE_GAIN + _rarer(one) for one in causes)
+        if gain - SEQUENCE_GAIN < steps.log_evidence - none - rarer:
+            return None
+    middle = _DRIFT_DEG[len(_DRIFT_DEG) // 2]
+    turn = _explained(linear, _drifting(middle * linear.turns, along))
+    place = slice(linear.common.shape[-1], linear.common.shape[-1] + N_TURN)  # at the end; twice that from the first
+    rotation_deg = 2.0 * middle * turn.mean[place]
+    clock, days = found[True] >= found[False] - 1.0, 2.0 * half_s / DAY_S
+    turn_deg = float(rotation_deg @ pole_enu(site)) if clock else float(np.linalg.norm(rotation_deg))
+    data: dict[str, float] = {"turn_deg": turn_deg, "days": days, "log_odds": gain}
+    if clock:  # where it is ahead the sun stands farther east than predicted, as in a camera turned clockwise
+        data["s_per_day"] = -turn_deg * SECONDS_PER_DEGREE / max(days, 1.0)
+    return PoseChange(
+        time=float(times[0]),
+        bracket=(float(times[0]), float(times[-1])),
+        settling=math.inf,
+        rotation_deg=rotation_deg,
+        covariance_deg2=(2.0 * middle) ** 2 * turn.covariance[place, place],
+        cause="clock" if clock else "slow_turn",
+        gain=gain,
+        data=data,
+    )
 
 
 def _are_of(camera: Camera, points: Sightings, site: Site, begins: Sequence[int]) -> bool:
@@ -275,18 +279,8 @@ def _are_of(camera: Camera, points: Sightings, site: Site, begins: Sequence[int]
 
 
 def _drifting(turns: FloatArray, along: FloatArray) -> FloatArray:
-    """Return the columns of a drift that is steady, and of one that begins or ends, by times (n, 1) from -1 to 1."""
-    return np.concatenate([turns * along, 0.5 * turns * (along**2 - 1.0 / 3.0)], axis=1)
-
-
-def _posterior_turn(linear: _Linear, along: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the turn (3,) at the end of a steady drift, degrees, and the mean product (3, 3) of it with itself."""
-    middle = _DRIFT_DEG[len(_DRIFT_DEG) // 2]
-    columns = np.concatenate([linear.common, _drifting(middle * linear.turns, along)], axis=1)
-    covariance = np.linalg.inv(columns.T @ columns + np.eye(columns.shape[1]))
-    place = slice(linear.common.shape[1], linear.common.shape[1] + 3)
-    mean = middle * (covariance @ (columns.T @ linear.values))[place]
-    return mean, np.outer(mean, mean) + middle**2 * covariance[place, place]
+    """Return the columns of a drift that is steady, and of one that begins or ends, by times (n, 1, 1) from -1 to 1."""
+    return np.concatenate([turns * along, 0.5 * turns * (along**2 - 1.0 / 3.0)], axis=-1)
 
 
 def _with_gross(residual: FloatArray, noise_px: FloatArray) -> FloatArray:
@@ -318,42 +312,24 @@ def _linear(points: Sightings, camera: Camera, residual: FloatArray, noise_px: F
     clock = np.nan_to_num((before - after) / (2.0 * _STEP_S))[..., None] * _CLOCK_S
 
     def white(columns: FloatArray) -> FloatArray:
-        return np.asarray((columns * root[:, None, None]).reshape(2 * root.size, -1))
+        return np.asarray(columns * root[:, None, None])
 
     return _Linear(
-        values=(residual * root[:, None]).ravel(),
+        values=residual * root[:, None],
         common=white(np.concatenate([pose, _COMMON_LENS * lens], axis=-1)),
         steps={"clock": white(clock), "moved": white(pose), "lens": white(np.concatenate([pose, lens], axis=-1))},
         turns=white(turns),
     )
 
 
-def _log_evidence(columns: FloatArray, values: FloatArray) -> float:
-    """Return the log evidence of whitened values, numbers of unit prior variance integrated out, up to a constant."""
-    information = columns.T @ columns + np.eye(columns.shape[1])
-    return _of_sums(information, columns.T @ values)
+def _explained(linear: _Linear, *columns: FloatArray) -> Explained:
+    """Return the evidence of residuals with further columns (n, 2, q) of unit prior variance."""
+    return explained(linear.values, np.ones(len(linear.values)), np.concatenate([linear.common, *columns], axis=-1))
 
 
-def _of_sums(information: FloatArray, pull: FloatArray) -> float:
-    return 0.5 * float(pull @ np.linalg.solve(information, pull)) - 0.5 * float(np.linalg.slogdet(information)[1])
-
-
-def _gains(linear: _Linear, columns: FloatArray) -> Iterator[float]:
-    """Yield the log evidence of a step before each sighting but the first and last few."""
-    common, size = linear.common, linear.common.shape[1]
-    both = np.concatenate([common, columns], axis=1)
-    n, total = both.shape[0] // 2, both.shape[1]
-    pairs = both.reshape(n, 2, total)
-    # sums over the sightings from each on
-    products = np.cumsum(np.einsum("nap,naq->npq", pairs, pairs)[::-1], axis=0)[::-1]
-    pulls = np.cumsum(np.einsum("nap,na->np", pairs, linear.values.reshape(n, 2))[::-1], axis=0)[::-1]
-    for row in range(_FEWEST_BESIDE, n - _FEWEST_BESIDE):
-        information = np.eye(total)
-        information[:size, :size] += products[0, :size, :size]
-        information[size:, :] = products[row, size:, :]
-        information[:size, size:] = products[row, :size, size:]
-        information[size:, size:] += np.eye(total - size)
-        yield _of_sums(information, np.concatenate([pulls[0, :size], pulls[row, size:]]))
+def _rarer(cause: StepCause) -> float:
+    """Return by how many powers of e a change is rarer than a turn."""
+    return 0.0 if cause == "moved" else rarity(cause, clock_stepped=False)
 
 
 def agreeing_days(residual: FloatArray, noise_px: FloatArray, unix_s: FloatArray, site: Site) -> list[IntArray]:

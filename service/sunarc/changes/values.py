@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 import numpy as np
@@ -12,13 +12,12 @@ from annotated_types import Ge, Le
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.common.array_types import BoolArray, FloatArray, stacked
 from sunarc.common.bounds import require_bounds
-from sunarc.common.findings import Finding
 from sunarc.optics.camera import Camera
 
 ChangeKind = Literal["bump", "clock", "lens", "refocus", "shift", "mirrored", "site"]
 LENS_KINDS: frozenset[ChangeKind] = frozenset({"lens", "refocus", "shift"})
 """Kinds after which earlier sightings carry no information on the lens."""
-Cause = Literal["clock", "longitude", "site", "north", "clock_or_north", "moved", "slow_turn"]
+FleetCause = Literal["clock", "longitude", "site", "north", "clock_or_north", "moved", "slow_turn"]
 """`clock`: about the celestial pole, and the stated site is as before. `longitude`, `site`: what is stated of the site
 changed, by the rotation that was seen. `north`: about the vertical. `clock_or_north`: both fit, as they do near the
 poles. `moved`: none of them. `slow_turn`: no step, but a turn of days and weeks about another axis than the celestial
@@ -93,52 +92,6 @@ class SightingWindow(Sightings):
             surprise=np.asarray(surprise)[None],
         )
         return stacked([self, one])
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Change:
-    """Something changed.
-
-    Attributes
-    ----------
-    kind : what it looks like.
-    at_unix_s : of the first sighting after it.
-    earliest_unix_s, latest_unix_s : the last sighting surely before it, the first surely after it.
-    size, size_sigma, unit : how large it is: degrees of a turn, seconds of a clock, px of a shifted sensor, % of the
-        focal length; 0 where that has no meaning.
-    gain : by how many powers of e it explains the sightings better than no change.
-    agreeing, of : sightings since that agree on it.
-    perhaps : kinds that explain it about as well so far, where it is called a bump.
-    finding : the change as a code and data.
-    """
-
-    kind: ChangeKind
-    at_unix_s: float
-    earliest_unix_s: float
-    latest_unix_s: float
-    size: float
-    size_sigma: float
-    unit: str
-    gain: float
-    agreeing: int
-    of: int
-    perhaps: str
-    finding: Finding
-
-    @property
-    def text(self) -> str:
-        """The change in a sentence."""
-        return self.finding.text
-
-    @property
-    def remedy(self) -> str:
-        """What to do about it."""
-        return self.finding.remedy
-
-    def as_details(self) -> dict[str, float | int | str]:
-        """Return what is stored of it: its numbers and names, the sentence and the remedy."""
-        scalars = {key: value for key, value in asdict(self).items() if isinstance(value, int | float | str)}
-        return scalars | dict(self.finding.data) | {"text": self.text, "remedy": self.remedy}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

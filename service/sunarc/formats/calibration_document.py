@@ -6,11 +6,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import MISSING, asdict, fields, replace
 from datetime import datetime
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from sunarc.calibration.model import result
+from sunarc.calibration.model.pose_change import PoseChange, pose_before, turn_between
 from sunarc.calibration.model.residual_field import Field
 from sunarc.common.array_types import FloatArray
 from sunarc.common.errors import InputError
@@ -151,7 +153,8 @@ def to_document(
         "uncertainty": _uncertainty(calibration),
         "night": None if calibration.night is None else _plain(asdict(calibration.night)),
         "metrics": {f.name: _number(getattr(calibration.metrics, f.name)) for f in fields(result.Metrics)},
-        "evidence": {f.name: _plain(getattr(calibration.evidence, f.name)) for f in fields(result.Provenance)},
+        "evidence": {f.name: _plain(getattr(calibration.evidence, f.name)) for f in fields(result.Provenance)}
+        | {"moves": _moves(calibration)},
         "verdict": {
             "accepted": calibration.verdict.accepted,
             "marginal": calibration.verdict.marginal,
@@ -160,6 +163,18 @@ def to_document(
         },
         "software": {"name": "sunarc", "version": software_version},
     }
+
+
+def _moves(calibration: result.Calibration) -> list[Document]:
+    """Return the moves, with the pose that each of them ended."""
+    moves, pose = list[Document](), calibration.camera.rotation_cam_enu
+    for move in reversed(calibration.evidence.moves):
+        pose = pose_before(pose, move.rotation_deg)
+        before, after = move.bracket
+        moves.append(
+            {"before_unix_s": before, "after_unix_s": after, "turn_deg": move.turn_deg, "pose_before": list(pose)}
+        )
+    return moves[::-1]
 
 
 def _uncertainty(calibration: result.Calibration) -> Document:
@@ -241,8 +256,6 @@ def _number(value: float | None) -> float | None:
 def _plain(value: object) -> object:
     if isinstance(value, float):
         return _number(value)
-    if isinstance(value, result.Move):
-        return _plain(asdict(value))
     if isinstance(value, Mapping):
         return {str(k): _plain(v) for k, v in value.items()}
     return [_plain(v) for v in value] if isinstance(value, tuple | list) else value
@@ -290,7 +303,7 @@ def from_document(document: object) -> result.Calibration:
             decentering=read.numbers("backward_model.decentering", 5),
             max_error_px=read.number("backward_model.max_error_px"),
         ),
-        evidence=_read_evidence(read),
+        evidence=_read_evidence(read, camera),
         verdict=result.Verdict(
             accepted=bool(read.value("verdict.accepted")),
             findings=_read_findings(read),
@@ -404,7 +417,7 @@ def _read_metrics(read: DocumentReader) -> result.Metrics:
     return result.Metrics(**numbers | {"n": read.count("metrics.n")})
 
 
-def _read_evidence(read: DocumentReader) -> result.Provenance:
+def _read_evidence(read: DocumentReader, camera: Camera) -> result.Provenance:
     options = read.value("evidence.options")
     clock_s, beyond_s = (read.number(f"evidence.{name}", needed=False) for name in ("clock_error_s", "clock_beyond_s"))
     stated = read.value("evidence.clock_stated", needed=False)
@@ -424,7 +437,7 @@ def _read_evidence(read: DocumentReader) -> result.Provenance:
         start=read.value("evidence.start", needed=False),
         selection=read.value("evidence.selection", needed=False) or {},
         pose_spread_deg=_read_spread(read),
-        moves=tuple(_read_move(DocumentReader(each)) for each in read.value("evidence.moves", needed=False) or ()),
+        moves=_read_moves(read, camera),
         log_odds=read.value("evidence.log_odds", needed=False) or {},
         held_out=read.value("evidence.held_out", needed=False) or {},
     )
@@ -443,10 +456,15 @@ def _read_night(read: DocumentReader) -> result.NightDifference | None:
     )
 
 
-def _read_move(read: DocumentReader) -> result.Move:
-    x, y, z = read.numbers("pose_before", 3)
-    numbers = {name: read.number(name) for name in ("before_unix_s", "after_unix_s", "turn_deg")}
-    return result.Move(**numbers, pose_before=(x, y, z))
+def _read_moves(read: DocumentReader, camera: Camera) -> tuple[PoseChange, ...]:
+    """Return the moves, each to the pose that the next one ended, and the last one to the camera's."""
+    stored = [DocumentReader(each) for each in read.value("evidence.moves", needed=False) or ()]
+    poses = [*(tuple(move.numbers("pose_before", 3)) for move in stored), camera.rotation_cam_enu]
+    brackets = [(move.number("before_unix_s"), move.number("after_unix_s")) for move in stored]
+    return tuple(
+        PoseChange(time=bracket[1], bracket=bracket, rotation_deg=turn_between(*between), cause="moved")
+        for bracket, between in zip(brackets, pairwise(poses), strict=True)
+    )
 
 
 def _read_spread(read: DocumentReader) -> tuple[float, float, float] | None:

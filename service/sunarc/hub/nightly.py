@@ -5,16 +5,17 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from functools import cache
 from typing import Any
 
 import numpy as np
 
+from sunarc.calibration.model.pose_change import PoseChange
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
-from sunarc.changes.daily_rotations import DailyRotations, RotationStep, daily_rotations
-from sunarc.changes.rotation_steps import FEWEST_AGREEING, StepSize, agreeing, explain_step, find_steps
+from sunarc.changes.daily_rotations import DailyRotations, daily_rotations
+from sunarc.changes.fleet import FEWEST_AGREEING, agreeing, explain_step, find_steps, step_sizes
 from sunarc.common.array_types import FloatArray, IntArray
 from sunarc.hub.archive import HubArchive
 from sunarc.hub.clocks import ClockOffsets, Lag, clock_offsets
@@ -40,7 +41,6 @@ _CYCLE_S = 5.0
 """Exposures of one cycle are no further apart, s."""
 _CLOCK_SIGMAS = 5.0
 """By how many sigmas a clock must be off to be named: one in a million of normal errors, and winds are none."""
-_SIZES = tuple(field.name for field in fields(StepSize) if field.name != "change")
 _M_PER_DEG = 111_195.0
 """Of latitude, on a sphere of 6371 km."""
 
@@ -199,21 +199,21 @@ def _clocks(reading: _Reading, group: Sequence[CameraRecord]) -> ClockOffsets:
     return clock_offsets(lags, east_north_m=np.array([_east_north_m(group[0], one) for one in group]))
 
 
-def _step_fields(reading: _Reading, camera: CameraRecord, step: RotationStep) -> dict[str, Any]:
+def _step_fields(reading: _Reading, camera: CameraRecord, step: PoseChange) -> dict[str, Any]:
     """Return the fields of a step or a slow turn by name, with its cause."""
     days = reading.rotations(camera).day
-    last = days[max(int(np.searchsorted(days, step.day)) - 1, 0)]
+    last = days[max(int(np.searchsorted(days, step.time)) - 1, 0)]
     noons_s = [
-        sum(day_bounds_unix_s(date_of_day(int(day)), longitude=camera.longitude)) / 2 for day in (last, step.day)
+        sum(day_bounds_unix_s(date_of_day(int(day)), longitude=camera.longitude)) / 2 for day in (last, step.time)
     ]
     before, after = reading.stated_sites(camera, np.array(noons_s))
-    explained = explain_step(step, before=before, after=after)
-    step = explained.change
-    sigma = np.sqrt(np.diag(step.covariance_deg2))
-    sizes = {name: getattr(explained, name) for name in _SIZES}
-    return sizes | {
-        "since": date_of_day(int(step.day)),
-        "rotation_deg": tuple(step.rotation_deg.tolist()),
+    change, confidence = explain_step(step, before=before, after=after)
+    sigma = np.sqrt(np.diag(change.covariance_deg2))
+    return step_sizes(change, before) | {
+        "cause": change.cause,
+        "confidence": confidence,
+        "since": date_of_day(int(change.time)),
+        "rotation_deg": tuple(change.rotation_deg.tolist()),
         "rotation_sigma_deg": tuple(sigma.tolist()),
     }
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import TypeAdapter, ValidationError
 from sqlalchemy import BigInteger, Connection, Row, and_, bindparam, case, delete, func, or_, select, text
 
-from sunarc.changes.values import Cause
+from sunarc.changes.values import FleetCause
 from sunarc.common.utc import to_microseconds, utc_time
 from sunarc.hub.feeds import sky_rms_of
 from sunarc.imager.archive.database.store import Part, given, upsert
@@ -20,7 +20,7 @@ from sunarc.imager.archive.day_digests import LEAST_KEPT
 from sunarc.imager.runtime.json_fields import EXAMPLE_TIME, Returned, SolarDate, Time, described
 from sunarc.sky.days import day_bounds_unix_s
 
-Found = Cause | Literal["clock_by_clouds", "unconfirmed"]
+Found = FleetCause | Literal["clock_by_clouds", "unconfirmed"]
 NO_ALARMS: frozenset[Found] = frozenset({"slow_turn", "unconfirmed"})
 """What is found and is nothing that somebody has to correct."""
 

@@ -9,8 +9,6 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.change_points import Moved, calibrate_moved
-from sunarc.calibration.lens_library.first_pose import calibrate_with_lens
 from sunarc.calibration.lens_library.lens_type import LensType
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, Mirrored
 from sunarc.calibration.model.result import Calibration
@@ -20,6 +18,7 @@ from sunarc.calibration.quality.fit_checks import provisional
 from sunarc.calibration.quality.tilt import require_level
 from sunarc.calibration.quality.widening import with_clock
 from sunarc.calibration.stated_prior import PriorTolerances, calibrate_with_prior
+from sunarc.changes.record import Moved, calibrate_moved, calibrate_with_lens
 from sunarc.common.errors import InputError
 from sunarc.common.findings import Finding
 from sunarc.formats.view import View, closest_camera

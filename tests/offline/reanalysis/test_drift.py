@@ -18,7 +18,7 @@ from sunarc.calibration.acceptance import apart_sigmas
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.changes.epoch_changes import drift_within, noise_of_days
+from sunarc.changes.epoch_changes import drift_finding, drift_within, noise_of_days, spread_deg
 from sunarc.common.array_types import FloatArray
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles
@@ -92,9 +92,9 @@ def test_one_that_stands_still_does_not_drift(seed: int) -> None:
     fit = calibrate(points, site=SITE, image_size=SIZE, options=OPTIONS)
     found = drift_within(points, fit.camera, SITE, noise_of_days(points, SITE))
     assert found is not None
-    assert found.finding is None
-    assert found.log_odds < 0.0
-    assert max(found.spread_deg) < fit.sky_rms_deg
+    assert drift_finding(found) is None
+    assert found.gain < 0.0
+    assert max(spread_deg(found)) < fit.sky_rms_deg
 
 
 def test_a_drift_that_the_noise_hides_is_in_the_uncertainty() -> None:

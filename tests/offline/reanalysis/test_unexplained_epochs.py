@@ -18,7 +18,7 @@ from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.changes.epoch_changes import Cause, Side, agreeing_days, change_within, is_of_lens, noise_of_days
+from sunarc.changes.epoch_changes import EpochCause, agreeing_days, change_within, is_of_lens, noise_of_days
 from sunarc.common.array_types import FloatArray, stacked
 from sunarc.optics.forward import project
 from sunarc.sky.site import Site
@@ -140,10 +140,10 @@ def test_a_change_of_scale_is_told_from_a_turn_though_one_camera_was_fitted_to_b
     noise = np.random.default_rng(6).normal(0.0, 0.4, later.pixels.shape)
     later = replace(later, pixels=project(true, sun_directions(later.unix_s, SITE)) + noise)
     first, second = (
-        Side(points, noise_of_days(points, SITE), replace(of, focal_length_px=(between, between)))
+        (points, replace(of, focal_length_px=(between, between)), noise_of_days(points, SITE))
         for points, of in ((before, camera), (later, turned))
     )
-    assert is_of_lens(first, second, SITE) is of_lens
+    assert is_of_lens((first, second), SITE) is of_lens
 
 
 @pytest.mark.parametrize(("second", "certain"), [(FIRST * 1.004, False), (SECOND, True)])
@@ -159,7 +159,7 @@ def test_an_epoch_ends_where_its_state_is_told_from_the_next(*, second: float, c
     times, last = points.unix_s.tolist(), len(points) - 1
     for late in (0, 2):  # the change is said to be some sightings late
         ends = ((0, 59 + late), (60 + late, last))
-        causes: tuple[Cause, Cause] = ("start", "lens")
+        causes: tuple[EpochCause, EpochCause] = ("start", "lens")
         epochs = [Epoch(n, causes[n], a, b, times[a], times[b]) for n, (a, b) in enumerate(ends)]
         before, after = surely_held(epochs, points, states, ArchiveCamera(SITE, SIZE, OPTIONS))
         assert times[0] <= before.end_unix_s <= times[59]
@@ -210,7 +210,7 @@ def test_a_small_turn_is_found_by_the_noise_of_the_days(turn_deg: float, cause: 
     moved = replace(points, pixels=points.pixels + np.where(late[:, None], shift, 0.0))
     found = change_within(moved, camera, SITE, noise_of_days(moved, SITE))
     assert (cause if found is None else found.cause) == cause
-    assert found is None or abs(found.row - 75) <= 2
+    assert found is None or abs(int(np.searchsorted(moved.unix_s, found.time)) - 75) <= 2
 
 
 def test_days_that_agree_are_the_longest_run_of_those_by_the_camera() -> None:
@@ -254,7 +254,7 @@ def test_few_sightings_have_no_change_within(count: int) -> None:
     some = points.select(slice(0, count))
     noise = np.full(count, 0.6)
     found = change_within(some, camera, SITE, noise)
-    assert found is None or 8 <= found.row <= count - 8
+    assert found is None or 8 <= int(np.searchsorted(some.unix_s, found.time)) <= count - 8
 
 
 @pytest.mark.parametrize("count", [16, 24, 48, 120])

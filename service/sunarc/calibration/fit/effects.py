@@ -53,7 +53,7 @@ SWAYS = "sways"
 SWAY_DEG = 0.05
 """1-sigma about each axis of how far the mount is turned on a day: masts bend by hundredths, and settle by tenths."""
 _STEP_DEG = 0.05
-"""A mount that is turned by more between two days, and by that alone, was moved (`changes.change_points`)."""
+"""A mount that is turned by more between two days, and by that alone, was moved (`changes.record`)."""
 
 
 class _View(NamedTuple):

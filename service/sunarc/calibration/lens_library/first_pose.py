@@ -23,7 +23,6 @@ from sunarc.calibration.answers.error_model import (
     predicted,
     rotated,
 )
-from sunarc.calibration.change_points import Moved, calibrate_moved
 from sunarc.calibration.evidence import PixelResiduals, false_density, fit_inlier_mixture
 from sunarc.calibration.fit.assemble import Job, calibration_from_fit, refused, unseen_field
 from sunarc.calibration.lens_library.conditioning import (
@@ -31,10 +30,9 @@ from sunarc.calibration.lens_library.conditioning import (
     contradicted,
     largest_departure,
     lens_finding,
-    with_lens,
 )
 from sunarc.calibration.lens_library.lens_type import IN_FREE, PARTS, LensType
-from sunarc.calibration.model.options import CalibrationOptions, FirstPoseOptions, ImageCircle
+from sunarc.calibration.model.options import CalibrationOptions, FirstPoseOptions
 from sunarc.calibration.model.result import Calibration, refused_for, with_finding, with_options
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.pose import (
@@ -123,38 +121,6 @@ class _FoundPose(NamedTuple):
     prior: CameraErrorModel
     log_evidence: float
     log_odds: float
-
-
-def calibrate_with_lens(
-    points: Sightings,
-    *,
-    lens: LensType,
-    site: Site,
-    options: CalibrationOptions,
-    circle: ImageCircle | None = None,
-) -> Moved:
-    """Return what sightings and a type of lens say of a camera: with a day of sun lens and pose, with few the pose.
-
-    Parameters
-    ----------
-    points, site, options, circle : as `calibrate_moved` takes them; projection and handedness are those of the lens.
-    lens : its type.
-    """
-    options = options_about(lens.camera, options)
-    size = (lens.camera.width, lens.camera.height)
-    moved_ = calibrate_moved(points, site=site, image_size=size, options=options, circle=circle)
-    solved, points = moved_.calibration, moved_.points
-    if solved.verdict.accepted:
-        return Moved(with_lens(solved, lens, points=points, options=options), points)
-    latest = points.select(np.flatnonzero(points.epoch == points.epoch.max(initial=0)))
-    return Moved(first_pose(latest, lens=lens, site=site, options=options, pose=_usual_pose(options)), latest)
-
-
-def _usual_pose(options: CalibrationOptions) -> FirstPoseOptions:
-    """Return what is known of the pose where it is not stated: the tilt, by half of what a fit may have."""
-    if options.level_within_deg is None:
-        return FirstPoseOptions()
-    return FirstPoseOptions(tilt_deg=min(options.level_within_deg / 2.0, 15.0))
 
 
 def first_pose(

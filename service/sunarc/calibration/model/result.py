@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from sunarc.calibration.model.options import Method
+from sunarc.calibration.model.pose_change import PoseChange
 from sunarc.calibration.model.residual_field import Field
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.common.array_types import BoolArray, FloatArray, IntArray
@@ -153,23 +154,6 @@ class Verdict:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Move:
-    """A move of the camera among the sightings of a fit.
-
-    Attributes
-    ----------
-    before_unix_s, after_unix_s : the last sighting before it, the first one after, seconds since 1970-01-01 UTC.
-    turn_deg : the angle between the two poses.
-    pose_before : rotation vector of the pose that ended, radians.
-    """
-
-    before_unix_s: float
-    after_unix_s: float
-    turn_deg: float
-    pose_before: tuple[float, float, float]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Provenance:
     """What a fit rests on, so that it can be made again.
 
@@ -210,7 +194,7 @@ class Provenance:
     start: Mapping[str, object] | None = None
     selection: Mapping[str, object] = field(default_factory=dict)
     pose_spread_deg: tuple[float, float, float] | None = None
-    moves: tuple[Move, ...] = ()
+    moves: tuple[PoseChange, ...] = ()
     log_odds: Mapping[str, float] = field(default_factory=dict)
     held_out: Mapping[str, float] = field(default_factory=dict)
     clock_stated: bool = False

@@ -13,9 +13,9 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from sunarc.calibration.answers.covariance import direction_covariance, project_with_covariance
-from sunarc.calibration.change_points import calibrate_moved
 from sunarc.calibration.model.options import CalibrationOptions, Method
 from sunarc.calibration.model.result import Calibration
+from sunarc.changes.record import calibrate_moved
 from sunarc.common.array_types import BoolArray, FloatArray
 from sunarc.common.findings import Finding
 from sunarc.common.messages import significant

@@ -13,13 +13,15 @@ from datetime import date, datetime, timedelta
 import numpy as np
 
 from sunarc.calibration.lens_library.first_pose import north_sigma_deg, top_azimuth_deg
+from sunarc.calibration.model.pose_change import PoseChange
 from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
 from sunarc.calibration.quality.day_quality import DOUBTFUL_CLOCK_SHARE, decide_day, measure_day
 from sunarc.calibration.quality.first_motion import FEWEST_IN_MOTION, site_contradiction
-from sunarc.changes.daily_rotations import PoseOffset, daily_pose_offset
-from sunarc.changes.detect_change import REMEMBERED, update_window
-from sunarc.changes.values import LENS_KINDS, Change, Sighting, SightingWindow, WatchOptions
+from sunarc.changes.daily_rotations import DailyRotations, daily_pose_offset
+from sunarc.changes.online import REMEMBERED, details_of, finding_of, update_window
+from sunarc.changes.values import LENS_KINDS, Sighting, SightingWindow, WatchOptions
+from sunarc.common.array_types import FloatArray
 from sunarc.common.errors import InputError, OutsideError
 from sunarc.common.findings import Finding
 from sunarc.common.utc import MICROSECOND, utc_time
@@ -90,7 +92,7 @@ class WatchWorker:
         self._has_future_epochs = False
         self._shown: str | None = None
         self._first: deque[Sighting] = deque(maxlen=_FIRST)
-        self._fault: Change | None = None
+        self._fault: PoseChange | None = None
         self._agreeing = 0
 
     def notice(
@@ -247,10 +249,10 @@ class WatchWorker:
             of_code = found is not None and found.code == code
             self.board.set_condition(code, Reason.of(found) if of_code and found is not None else None)
 
-    def _act(self, change: Change) -> None:
+    def _act(self, change: PoseChange) -> None:
         """Report a change, and act on it by its kind."""
-        at = utc_time(change.at_unix_s)
-        moved = change.kind == "bump" or change.kind in LENS_KINDS
+        at = utc_time(change.time)
+        moved = change.cause == "bump" or change.cause in LENS_KINDS
         epoch = self._epoch_begun_by(change) if moved else None
         if epoch is not None:
             self._publish(change, epoch.started_at)
@@ -261,25 +263,25 @@ class WatchWorker:
             self._open_epoch(change, at)
         else:
             self._fault, self._agreeing = change, 0
-            self.camera.archive.sightings.exclude(self.camera.name, change.finding, since=at)
+            self.camera.archive.sightings.exclude(self.camera.name, finding_of(change), since=at)
 
-    def _epoch_begun_by(self, change: Change) -> PoseEpoch | None:
+    def _epoch_begun_by(self, change: PoseChange) -> PoseEpoch | None:
         """Return the present epoch where the move began it and no pose has been found since; None for another move."""
         epoch = self._present_epoch()
-        if epoch is None or self._watch.unix_s[0] < change.at_unix_s:
+        if epoch is None or self._watch.unix_s[0] < change.time:
             return None
         reported = self.camera.archive.events.find(
-            self.camera.name, kind=change.kind, since=epoch.started_at, until=self._latest()
+            self.camera.name, kind=change.cause, since=epoch.started_at, until=self._latest()
         )
         return epoch if reported else None
 
-    def _open_epoch(self, change: Change, at: datetime) -> None:
+    def _open_epoch(self, change: PoseChange, at: datetime) -> None:
         """Open a pose epoch at the first sighting after the change, and exclude those that may be of either side."""
-        earliest = utc_time(change.earliest_unix_s)
+        earliest = utc_time(change.bracket[0])
         ambiguous = Finding("sighting_ambiguous", {"earliest": earliest.isoformat()})
         self.camera.archive.sightings.exclude(self.camera.name, ambiguous, since=earliest + MICROSECOND, until=at)
         try:
-            reason = LENS_CHANGED if change.kind in LENS_KINDS else change.kind
+            reason = LENS_CHANGED if change.cause in LENS_KINDS else change.cause
             self.camera.archive.epochs.open(self.camera.name, at=at, reason=reason)
         except InputError as error:  # the whole epoch is of the new pose or lens
             _log.info("%s", error)
@@ -287,22 +289,22 @@ class WatchWorker:
         epoch = self._present_epoch()
         self._epoch = None if epoch is None else epoch.id
         current = self.camera.archive.calibrations.current(self.camera.name)
-        if change.kind in LENS_KINDS:
+        if change.cause in LENS_KINDS:
             if current is not None:
                 self.camera.archive.calibrations.retire(current.id, at=max(at, current.valid_from))
             self._watch = SightingWindow()
         else:
-            self._watch = self._watch.since(change.at_unix_s)
+            self._watch = self._watch.since(change.time)
 
-    def _is_turn_after_all(self, change: Change | None) -> bool:
+    def _is_turn_after_all(self, change: PoseChange | None) -> bool:
         """Return whether what a few sightings showed as a step of an unwatched clock is a turn by many."""
         if change is None or self._fault is None or self.host_dates:
             return False
-        return (self._fault.kind, change.kind) == ("clock", "bump") and change.agreeing >= _MANY_AGREEING
+        return (self._fault.cause, change.cause) == ("clock", "bump") and int(change.data["agreeing"]) >= _MANY_AGREEING
 
     def _end_fault(self) -> None:
         if self._fault is not None:
-            self.board.set_condition(self._fault.finding.code, None)
+            self.board.set_condition(finding_of(self._fault).code, None)
             self._fault = None
 
     def _wait_for_recovery(self, sighting: Sighting) -> None:
@@ -315,16 +317,18 @@ class WatchWorker:
             self._end_fault()
             return
         time = utc_time(sighting.unix_s)
-        self.camera.archive.sightings.exclude(self.camera.name, fault.finding, since=time, until=time + MICROSECOND)
+        self.camera.archive.sightings.exclude(self.camera.name, finding_of(fault), since=time, until=time + MICROSECOND)
 
-    def _report(self, change: Change, at: datetime) -> None:
-        self.camera.add_event(change.finding, time=at, severity="alarm", kind=change.kind, details=change.as_details())
+    def _report(self, change: PoseChange, at: datetime) -> None:
+        self.camera.add_event(
+            finding_of(change), time=at, severity="alarm", kind=change.cause, details=details_of(change)
+        )
         self._publish(change, at)
 
-    def _publish(self, change: Change, at: datetime) -> None:
-        text = f"since {at.isoformat(timespec='seconds')}: {change.text}"
-        reason = Reason.of(change.finding)
-        self.board.set_condition(reason.code, replace(reason, text=text, data=change.as_details()), log=False)
+    def _publish(self, change: PoseChange, at: datetime) -> None:
+        text = f"since {at.isoformat(timespec='seconds')}: {finding_of(change).text}"
+        reason = Reason.of(finding_of(change))
+        self.board.set_condition(reason.code, replace(reason, text=text, data=details_of(change)), log=False)
 
     def _clear_move(self) -> None:
         for kind in ("bump", *LENS_KINDS):
@@ -576,11 +580,11 @@ class DayJudge:
             doubtful_clock=_finite(measure.doubtful_clock),
             sd_px=_finite(measure.sd_px),
             rmsd_px=_finite(measure.rmsd_px),
-            pose_offset_deg=None if offset is None else offset.turn_deg,
-            pose_offset_sigma_deg=None if offset is None else offset.sigma_deg,
+            pose_offset_deg=None if offset is None else _triple(offset.rotation_deg[0]),
+            pose_offset_sigma_deg=None if offset is None else _triple(np.sqrt(np.diag(offset.covariance_deg2[0]))),
         )
 
-    def _pose_offset(self, columns: SunPointColumns) -> PoseOffset | None:
+    def _pose_offset(self, columns: SunPointColumns) -> DailyRotations | None:
         """Return how the camera stood turned against the current calibration, where that is of the day's last epoch."""
         current = self.camera.archive.calibrations.current(self.camera.name)
         if current is None or not columns.epoch_ids or current.pose_epoch != columns.epoch_ids[-1]:
@@ -598,6 +602,11 @@ class DayJudge:
         why = {"date": f"{day.date}", "verdict": day.verdict, "reasons": "; ".join(day.reasons)}
         found, details = Finding("day", {**numbers, **why}), {key: value for key, value in offsets.items() if value}
         self.camera.add_event(found, time=day.decided_at, severity="info", details=details)
+
+
+def _triple(values: FloatArray) -> tuple[float, float, float]:
+    east, north, up = values.tolist()
+    return east, north, up
 
 
 def _finite(value: float) -> float | None:

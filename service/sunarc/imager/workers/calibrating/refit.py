@@ -16,6 +16,7 @@ import numpy as np
 import sunarc
 from sunarc.calibration.acceptance import accept, pose_spread_deg, unseen_points
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
+from sunarc.calibration.model.pose_change import PoseChange
 from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
 from sunarc.calibration.projection_choice import options_as_served
@@ -24,7 +25,6 @@ from sunarc.calibration.quality.fit_checks import is_tilt_shown, provisional
 from sunarc.calibration.quality.tilt import LEVEL_DEG, proposed_limit_deg
 from sunarc.calibration.quality.widening import with_clock, with_pose_spread
 from sunarc.calibration.selection import Selection, SelectionOptions, select_sightings, surest_of_epochs
-from sunarc.changes.step_search import PoseStep
 from sunarc.common.array_types import IntArray
 from sunarc.common.errors import InputError, NotFoundError
 from sunarc.common.findings import Data, Finding
@@ -130,11 +130,11 @@ class EpochSearch:
         calibration = self.camera.archive.calibrations.current_model(self.camera.name)
         return None if calibration is None or is_provisional(calibration) else calibration
 
-    def keep(self, steps: tuple[PoseStep, ...]) -> None:
+    def keep(self, steps: tuple[PoseChange, ...]) -> None:
         """Open the epochs that steps begin, with an event each, and remember that the search was made."""
         divided: list[str] = []
         for step in steps:
-            at = utc_time(step.after_unix_s)
+            at = utc_time(step.time)
             try:
                 parts = self.camera.archive.epochs.split(self.camera.name, at=at, reason="bump")
             except InputError:  # an epoch begins there already
@@ -179,8 +179,8 @@ def _search(event: Event) -> _Search:
     )
 
 
-def _found(step: PoseStep, at: datetime) -> Finding:
-    before = utc_time(step.before_unix_s).isoformat(timespec="seconds")
+def _found(step: PoseChange, at: datetime) -> Finding:
+    before = utc_time(step.bracket[0]).isoformat(timespec="seconds")
     data: Data = {"before": before, "after": at.isoformat(timespec="seconds"), "turn_deg": step.turn_deg}
     return Finding("pose_changed", data)
 
@@ -330,7 +330,7 @@ class RefitWorker:
     board: StatusRegistry
     may_solve: Callable[[], bool] = lambda: True
     solve: Callable[..., Calibration | None] = solver_process.solve_in_child
-    search: Callable[..., tuple[PoseStep, ...] | None] = solver_process.search_in_child
+    search: Callable[..., tuple[PoseChange, ...] | None] = solver_process.search_in_child
     keep_provisional: bool = False
     clock_error_s: float | None = None
     clock_assumed: bool = False

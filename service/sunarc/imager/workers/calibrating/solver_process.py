@@ -15,9 +15,10 @@ import numpy as np
 
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
+from sunarc.calibration.model.pose_change import PoseChange
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.changes.step_search import PoseStep, find_pose_steps
+from sunarc.changes.record import find_pose_steps
 from sunarc.common.findings import Finding
 from sunarc.imager.archive.values import SunPointColumns
 from sunarc.imager.runtime.child_process import answer_call, one_thread_each
@@ -91,7 +92,7 @@ def solve_in_child(problem: SolveProblem, control: ChildControl) -> Calibration 
     return answer
 
 
-def search_in_child(problem: SolveProblem, control: ChildControl) -> tuple[PoseStep, ...] | None:
+def search_in_child(problem: SolveProblem, control: ChildControl) -> tuple[PoseChange, ...] | None:
     """Search a record for steps of the pose, as `solve_in_child` solves, with the same errors."""
     answer = in_child(partial(call_on(problem, find_pose_steps), lens=problem.lens), control)
     if answer is not None and not isinstance(answer, tuple):

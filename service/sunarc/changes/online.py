@@ -10,7 +10,7 @@ import itertools
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_solve, cholesky, solve_triangular
@@ -37,13 +37,14 @@ from sunarc.calibration.evidence import (
     matern_5_2,
     most_probable,
 )
+from sunarc.calibration.model.pose_change import PoseChange
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.pose import conditioned, noise_px
 from sunarc.calibration.solve.problem import by_elevation
 from sunarc.calibration.start.initial_guess import ransac_rotation
-from sunarc.changes.values import Change, ChangeKind, Hypothesis, Sighting, SightingWindow, WatchOptions
+from sunarc.changes.values import ChangeKind, Hypothesis, Sighting, SightingWindow, WatchOptions
 from sunarc.common.array_types import BoolArray, FloatArray, IntArray, picked, stacked
-from sunarc.common.findings import Data, Finding
+from sunarc.common.findings import Finding
 from sunarc.common.robust_statistics import finite
 from sunarc.optics.camera import Camera, Param
 from sunarc.optics.forward import by_direction, project_fast, project_with_rows_fast
@@ -185,7 +186,7 @@ class ScoredHypothesis:
 
 def best_hypothesis(
     window: ResidualModel, *, site: Site, small: bool, clock_stepped: bool | None, posed_from_few: bool
-) -> Change | None:
+) -> PoseChange | None:
     """Return the change that explains the last sightings far better than none does; None where there is none.
 
     Parameters
@@ -491,7 +492,7 @@ def describe_change(
     gain: float,
     alike: list[int],
     perhaps: tuple[ChangeKind, ...] = (),
-) -> Change:
+) -> PoseChange:
     """Return the change that an explanation amounts to.
 
     Parameters
@@ -504,51 +505,79 @@ def describe_change(
     first, times = explanation.first, window.watch.unix_s
     sure = first + int(np.argmax(mixture.inlier[first:]))
     early, late = min([first, *alike]), max([sure, *alike])
-    size, sigma = _size(window, explanation, mixture)
-    agreeing = int(mixture.inlier[first:].sum())
-    of = len(window.watch) - first
-    data: Data = {"size": size, "sigma": sigma, "agreeing": agreeing, "of": of, "alternatives": _alternatives(perhaps)}
-    return Change(
-        kind=explanation.kind,
-        at_unix_s=float(times[sure]),
-        earliest_unix_s=float(times[early - 1]) if early > 0 else float(times[0]),
-        latest_unix_s=float(times[late]),
-        size=size,
-        size_sigma=sigma,
-        unit=_UNITS.get(explanation.kind, "degrees"),
+    size, sigma, rotation_deg, covariance_deg2 = _sizes(window, explanation, mixture)
+    agreeing, of = int(mixture.inlier[first:].sum()), len(window.watch) - first
+    return PoseChange(
+        time=float(times[sure]),
+        bracket=(float(times[max(early - 1, 0)]), float(times[late])),
+        rotation_deg=rotation_deg,
+        covariance_deg2=covariance_deg2,
+        cause=explanation.kind,
         gain=gain,
-        agreeing=agreeing,
-        of=of,
-        perhaps=", ".join(perhaps),
-        finding=Finding(f"changed_{explanation.kind}", data),
+        perhaps=perhaps,
+        data={"size": size, "sigma": sigma, "agreeing": agreeing, "of": of, "alternatives": _alternatives(perhaps)},
     )
+
+
+def finding_of(change: PoseChange) -> Finding:
+    """Return a change as a code and data."""
+    return Finding(f"changed_{change.cause}", change.data)
+
+
+def details_of(change: PoseChange) -> dict[str, Any]:
+    """Return what is stored of a change: its numbers and names, the sentence and the remedy.
+
+    `size` is in degrees of a turn, seconds of a clock, px of a shifted sensor, % of the focal length; 0 where that has
+    no meaning.
+    """
+    finding = finding_of(change)
+    return {
+        "kind": change.cause,
+        "at_unix_s": change.time,
+        "earliest_unix_s": change.bracket[0],
+        "latest_unix_s": change.bracket[1],
+        "size_sigma": change.data["sigma"],
+        "unit": _UNITS.get(change.cause, "degrees"),
+        "gain": change.gain,
+        "perhaps": ", ".join(change.perhaps),
+        **change.data,
+        "text": finding.text,
+        "remedy": finding.remedy,
+    }
 
 
 def _alternatives(perhaps: tuple[ChangeKind, ...]) -> str:
     return f" (or {', or '.join(_PERHAPS[kind] for kind in perhaps)}: cannot be distinguished yet)" if perhaps else ""
 
 
-def _size(window: ResidualModel, explanation: Hypothesis, mixture: MixtureFit) -> tuple[float, float]:
-    """Return how large a change is, in its unit, with its 1-sigma; 0 where that has no meaning."""
-    names, rotation = list(window.error_model.selected), window.error_model.rotation
-    if explanation.kind not in ("bump", "clock", "refocus", "shift") or not {Param.FOCAL_LENGTH_X_PX, *_CENTER} <= set(
-        names
-    ):
-        return 0.0, 0.0
+def _sizes(
+    window: ResidualModel, explanation: Hypothesis, mixture: MixtureFit
+) -> tuple[float, float, FloatArray, FloatArray]:
+    """Return the size of a change in its unit and its 1-sigma, the turn (3,) about east, north and up, its covariance.
+
+    All are 0 where they have no meaning.
+    """
+    names, rotation, kind = list(window.error_model.selected), window.error_model.rotation, explanation.kind
+    still = 0.0, 0.0, np.zeros(3), np.zeros((3, 3))
+    if kind not in ("bump", "clock", "refocus", "shift") or not {Param.FOCAL_LENGTH_X_PX, *_CENTER} <= set(names):
+        return still
     after = _after(window, explanation, mixture)
     change = after.mean.copy()
     change[rotation] -= explanation.mean[rotation]
     axis, unit = np.zeros(change.size), 1.0
-    if explanation.kind == "clock":
+    if kind == "clock":
         axis, unit = explanation.free[:, 0] / np.linalg.norm(explanation.free[:, 0]), -1.0 / _SECOND_RAD
-    elif explanation.kind == "refocus":
+    elif kind == "refocus":
         axis[names.index(Param.FOCAL_LENGTH_X_PX)], unit = 1.0, 100.0 / window.camera.focal_length_px[0]
     else:
-        of = rotation if explanation.kind == "bump" else [names.index(i) for i in _CENTER]
+        of = rotation if kind == "bump" else [names.index(i) for i in _CENTER]
         axis[of] = change[of] / max(float(np.linalg.norm(change[of])), 1e-12)
-        unit = math.degrees(1.0) if explanation.kind == "bump" else 1.0
+        unit = math.degrees(1.0) if kind == "bump" else 1.0
     sigma = math.sqrt(max(float(axis @ after.covariance @ axis), 0.0))
-    return unit * float(axis @ change), abs(unit) * sigma
+    # a camera that turns one way sees the sky turn the other
+    to_enu = -math.degrees(1.0) * rotation_matrix(window.camera.rotation_cam_enu).T
+    covariance = to_enu @ after.covariance[np.ix_(rotation, rotation)] @ to_enu.T
+    return unit * float(axis @ change), abs(unit) * sigma, to_enu @ change[rotation], covariance
 
 
 def _after(window: ResidualModel, explanation: Hypothesis, mixture: MixtureFit) -> CameraErrorModel:
@@ -583,7 +612,7 @@ def update_window(
     options: WatchOptions,
     clock_stepped: bool | None = False,
     posed_from_few: bool = False,
-) -> tuple[SightingWindow, Change | None]:
+) -> tuple[SightingWindow, PoseChange | None]:
     """Return what is remembered after one more sighting, and the change that it makes plain, if any.
 
     Parameters

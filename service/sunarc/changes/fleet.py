@@ -8,19 +8,13 @@ the sun says nothing else of either: 1 s and 1/240 degree are one and the same.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from sunarc.calibration.evidence import DAYS_GAIN, RARER, Weighed, log_marginal, most_probable
-from sunarc.changes.daily_rotations import (
-    DailyRotations,
-    RotationStep,
-    as_shown,
-    find_change,
-    is_recent,
-)
-from sunarc.changes.values import Cause
+from sunarc.calibration.model.pose_change import Cause, PoseChange
+from sunarc.changes.daily_rotations import DailyRotations, as_shown, find_change
 from sunarc.common.array_types import FloatArray, picked
 from sunarc.sky.days import SECONDS_PER_DEGREE
 from sunarc.sky.directions import wrapped_deg
@@ -43,29 +37,6 @@ _NOT_WEIGHED = 0.05
 that all cameras have wrong alike; by docs/studies/cross_checks.py."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StepSize:
-    """The most likely cause of a step, and its size by each of the causes that have one number.
-
-    Attributes
-    ----------
-    confidence : the probability of that cause: at most .95, as in one case of twenty it is none of those weighed.
-    change : what was explained: the step, or the slow turn in its place.
-    clock_s, longitude_deg : by how much the clock went ahead, or the stated longitude to the east: the same rotation.
-    north_deg : by how much the camera turned about the vertical, counter-clockwise as seen from above.
-    """
-
-    cause: Cause
-    confidence: float
-    change: RotationStep
-    clock_s: float
-    clock_sigma_s: float
-    longitude_deg: float
-    longitude_sigma_deg: float
-    north_deg: float
-    north_sigma_deg: float
-
-
 def rotation_of_site(before: Site, after: Site) -> FloatArray:
     """Return the rotation (3,), degrees about east, north and up, by which a new statement of the site turns a camera.
 
@@ -75,51 +46,59 @@ def rotation_of_site(before: Site, after: Site) -> FloatArray:
     return np.array([after.latitude - before.latitude, 0.0, 0.0]) - east * pole_enu(before)
 
 
-def explain_step(step: RotationStep, *, before: Site, after: Site) -> StepSize:
-    """Return the most probable explanation of a change.
+def explain_step(step: PoseChange, *, before: Site, after: Site) -> tuple[PoseChange, float]:
+    """Return the most probable explanation of a change, and its probability: at most 0.95, see `_NOT_WEIGHED`.
 
     Parameters
     ----------
     step : of a camera's rotation against one calibration, or a slow turn.
     before, after : the site as it was stated for the days before and after it.
+
+    Returns
+    -------
+    The step, or the slow turn in its place, with its cause.
     """
     changes = [step] if step.slower is None else [step, step.slower]
     weighed = [one for change in changes for one in _explanations(change, before, after)]
-    best = most_probable(weighed)
-    cause, change = best.explanation
-    of_cause = [one.log_evidence - one.rarer for one in weighed if one.explanation[0] == cause]
-    of_others = [one.log_evidence - one.rarer for one in weighed if one.explanation[0] != cause]
+    best = most_probable(weighed).explanation
+    of_cause = [one.log_evidence - one.rarer for one in weighed if one.explanation.cause == best.cause]
+    of_others = [one.log_evidence - one.rarer for one in weighed if one.explanation.cause != best.cause]
     against = np.logaddexp.reduce([*of_others, DAYS_GAIN]) - np.logaddexp.reduce(of_cause)
-    size = change.rotation_deg
+    return best, (1.0 - _NOT_WEIGHED) * float(np.exp(-np.logaddexp(0.0, against)))
+
+
+def step_sizes(change: PoseChange, site: Site) -> dict[str, float]:
+    """Return the size of a turn by each of the causes that have one number, with 1-sigmas, by name.
+
+    `clock_s`, `longitude_deg`: by how much the clock went ahead, or the stated longitude to the east: one rotation.
+    `north_deg`: by how much the camera turned about the vertical, counter-clockwise as seen from above.
+    """
     information = np.asarray(np.linalg.inv(change.covariance_deg2), dtype=np.float64)
-    pole, pole_sigma = _about(size, information, pole_enu(before))
-    north, north_sigma = _about(size, information, _UP)
-    return StepSize(
-        cause=cause,
-        confidence=(1.0 - _NOT_WEIGHED) * float(np.exp(-np.logaddexp(0.0, against))),
-        change=change,
-        clock_s=-SECONDS_PER_DEGREE * pole,
-        clock_sigma_s=SECONDS_PER_DEGREE * pole_sigma,
-        longitude_deg=-pole,
-        longitude_sigma_deg=pole_sigma,
-        north_deg=north,
-        north_sigma_deg=north_sigma,
-    )
+    pole, pole_sigma = _about(change.rotation_deg, information, pole_enu(site))
+    north, north_sigma = _about(change.rotation_deg, information, _UP)
+    return {
+        "clock_s": -SECONDS_PER_DEGREE * pole,
+        "clock_sigma_s": SECONDS_PER_DEGREE * pole_sigma,
+        "longitude_deg": -pole,
+        "longitude_sigma_deg": pole_sigma,
+        "north_deg": north,
+        "north_sigma_deg": north_sigma,
+    }
 
 
-def _explanations(change: RotationStep, before: Site, after: Site) -> list[Weighed[tuple[Cause, RotationStep]]]:
+def _explanations(change: PoseChange, before: Site, after: Site) -> list[Weighed[PoseChange]]:
     """Return what a change may be: a rotation about any axis, or about one that says what it is."""
     size = change.rotation_deg
 
     def evidence(axes: FloatArray, left: FloatArray = size) -> float:
         return log_marginal(left[:, None], change.covariance_deg2, _SIZE_DEG * axes[:, None, :])
 
-    def weighed(cause: Cause, log_evidence: float, rarer: float) -> Weighed[tuple[Cause, RotationStep]]:
-        return Weighed((cause, change), change.gain + log_evidence - of_any, rarer)
+    def weighed(cause: Cause, log_evidence: float, rarer: float) -> Weighed[PoseChange]:
+        return Weighed(replace(change, cause=cause), change.gain + log_evidence - of_any, rarer)
 
     of_any = evidence(np.eye(3))
     clock, north = evidence(pole_enu(before)[:, None]), evidence(_UP[:, None])
-    if change.settling_days > 0.0:  # a statement changes at once, and so does north
+    if change.settling > 0.0:  # a statement changes at once, and so does north
         return [weighed("slow_turn", of_any, 0.0), weighed("clock", clock, RARER)]
     found = [weighed("moved", of_any, _RARER_MOVED)]
     if min(clock, north) > of_any:
@@ -139,7 +118,7 @@ def _about(size: FloatArray, information: FloatArray, axis: FloatArray) -> tuple
     return float(axis @ information @ size) / weight, weight**-0.5
 
 
-def find_steps(cameras: Sequence[DailyRotations], *, min_gain: float = DAYS_GAIN) -> tuple[RotationStep | None, ...]:
+def find_steps(cameras: Sequence[DailyRotations], *, min_gain: float = DAYS_GAIN) -> tuple[PoseChange | None, ...]:
     """Return the change of each camera of a group of neighbours; None of one that shows none clearly.
 
     What all of them have in common on a day is not a camera's: refraction, a time server, a new version of the
@@ -151,7 +130,7 @@ def find_steps(cameras: Sequence[DailyRotations], *, min_gain: float = DAYS_GAIN
     cameras : their rotations on days numbered alike, of at most some 60 days.
     min_gain : the least gain, natural logarithm.
     """
-    found: list[RotationStep | None] = [None] * len(cameras)
+    found: list[tuple[PoseChange, bool] | None] = [None] * len(cameras)
     remaining = list(cameras)
     for _ in cameras:
         steps = {
@@ -163,13 +142,13 @@ def find_steps(cameras: Sequence[DailyRotations], *, min_gain: float = DAYS_GAIN
         if not clear:
             break
         # by size, which the others show divided by their number; gains are near one another where days are precise
-        first = max(clear, key=lambda number: float(np.linalg.norm(clear[number].likeliest.rotation_deg)))
+        first = max(clear, key=lambda number: clear[number][0].likeliest.turn_deg)
         found[first] = clear[first]
-        remaining[first] = _without(remaining[first], clear[first])
-    return tuple(None if step is None or is_recent(step) else step for step in found)
+        remaining[first] = _without(remaining[first], clear[first][0])
+    return tuple(None if one is None or one[1] else one[0] for one in found)
 
 
-def agreeing(cameras: Sequence[DailyRotations], number: int, change: RotationStep) -> int:
+def agreeing(cameras: Sequence[DailyRotations], number: int, change: PoseChange) -> int:
     """Return how many others show a camera's change, each by itself; 0 where they are no more than half of all.
 
     What differs between two cameras is either's: a change is the camera's own where its difference from others has it
@@ -197,9 +176,9 @@ def _difference(one: DailyRotations, other: DailyRotations) -> DailyRotations:
     )
 
 
-def _without(one: DailyRotations, step: RotationStep) -> DailyRotations:
-    done = step.likeliest.progress(one.day)[:, None]
-    return replace(one, rotation_deg=one.rotation_deg - done * step.likeliest.rotation_deg)
+def _without(one: DailyRotations, step: PoseChange) -> DailyRotations:
+    step = step.likeliest
+    return replace(one, rotation_deg=one.rotation_deg - step.progress(one.day)[:, None] * step.rotation_deg)
 
 
 def _beside_others(cameras: Sequence[DailyRotations], number: int) -> DailyRotations:
