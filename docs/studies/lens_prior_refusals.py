@@ -31,12 +31,12 @@ from numpy.typing import NDArray
 from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.answers.error_model import error_model_of, joint_covariance, predicted
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.lens_library.first_pose import calibrate_with_lens
 from sunarc.calibration.lens_library.joint import Unit, lens_type_of
 from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread, frame_of
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.solve.priors import LENS, Whitened
+from sunarc.changes.record import calibrate_with_lens
 from sunarc.optics.camera import Camera, camera_sees
 from sunarc.optics.forward import project
 from sunarc.optics.projections import PROJECTIONS, Projection

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from sunarc.archives.fit import CameraSightings, final_analysis, first_analysis
 from sunarc.archives.states import ArchiveCamera
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.evidence import DAYS_GAIN
+from sunarc.calibration.evidence import DAYS
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.changes.daily_rotations import DailyRotations, daily_rotations, step_gains
@@ -197,7 +197,7 @@ def long_record(rng: np.random.Generator, case: str) -> list[str]:
         rotation += (rng.random(40) < 0.15)[:, None] * rng.normal(0.0, 0.06, (40, 3))
     covariance = np.broadcast_to(1e-4 * np.eye(3), (40, 3, 3))
     gain = step_gains(DailyRotations(day=day, rotation_deg=rotation, covariance_deg2=covariance))
-    return ["step" + ("" if abs(int(np.argmax(gain)) - 20) <= 2 else " misdated")] if gain.max() > DAYS_GAIN else []
+    return ["step" + ("" if abs(int(np.argmax(gain)) - 20) <= 2 else " misdated")] if gain.max() > DAYS.gain else []
 
 
 SEARCHES: dict[str, Callable[[np.random.Generator, str], list[str]]] = {

@@ -19,7 +19,8 @@ from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.changes import record as module
 from sunarc.changes import step_evidence
-from sunarc.changes.record import calibrate_moved, log_bayes_factor
+from sunarc.changes.record import calibrate_moved
+from sunarc.changes.step_evidence import log_bayes_factor
 from sunarc.common.array_types import FloatArray, IntArray
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
@@ -94,7 +95,7 @@ def test_jumps_are_where_lines_miss_one_another_by_four_sigmas() -> None:
             residual[row:] += rng.normal(0.0, 0.3, 2)
         some = replace(usable(time), day=(np.arange(n) > 60 + k).astype(np.int64), epoch=(np.arange(n) > 124) * 1)
         found = module.jumps_within_days(residual, some)
-        assert [one.row for one in found] == jumps_by_hand(residual, some)
+        assert [row for row, _ in found] == jumps_by_hand(residual, some)
         counts.append(len(found))
     assert {0, 1, 2} <= set(counts)
 

@@ -13,11 +13,13 @@ from scipy.stats import multivariate_normal
 from sunarc.calibration.evidence import (
     Weighed,
     bounded_cost,
+    explained,
     likeliest_path,
     log_marginal,
     matern_3_2,
     matern_5_2,
     most_probable,
+    step_evidences,
     whitened,
 )
 from sunarc.common.array_types import FloatArray
@@ -39,6 +41,30 @@ def test_the_marginal_is_the_dense_gaussian_with_the_free_numbers_covariance_add
     assert log_marginal(values, covariance, columns) == pytest.approx(float(expected), rel=1e-12)
     if free == 0:
         assert log_marginal(values, covariance) == pytest.approx(float(expected), rel=1e-12)
+
+
+@pytest.mark.parametrize("independent", [False, True])
+def test_the_free_numbers_are_those_of_the_normal_distribution_given_the_values(*, independent: bool) -> None:
+    rng = np.random.default_rng(7)
+    values, columns = rng.standard_normal((5, 2)), rng.standard_normal((5, 2, 3))
+    covariance = np.diag(rng.uniform(0.5, 2.0, 5)) if independent else spread(5, seed=3)
+    found = explained(values, np.diag(covariance) if independent else covariance, columns)
+    flat = columns.reshape(10, 3)
+    gain = flat.T @ np.linalg.inv(np.kron(covariance, np.eye(2)) + flat @ flat.T)
+    np.testing.assert_allclose(found.mean, gain @ values.ravel(), atol=1e-12)
+    np.testing.assert_allclose(found.covariance, np.eye(3) - gain @ flat, atol=1e-12)
+    assert found.log_evidence == pytest.approx(log_marginal(values, covariance, columns), rel=1e-12)
+
+
+def test_the_evidence_of_a_change_before_each_observation_is_that_of_its_columns() -> None:
+    rng = np.random.default_rng(8)
+    values, common, step = (rng.standard_normal((6, 2, *size)) for size in ((), (2,), (3,)))
+    found = step_evidences(values, common, step)
+    late = (np.arange(6) >= np.arange(6)[:, None])[..., None, None]
+    expected = [
+        explained(values, np.ones(6), np.concatenate([common, step * one], axis=-1)).log_evidence for one in late
+    ]
+    np.testing.assert_allclose(found - found[0], np.array(expected) - expected[0], atol=1e-12)
 
 
 def test_whitened_values_have_the_unit_covariance() -> None:

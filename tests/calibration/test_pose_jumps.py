@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from tests.fixtures.calibration import filtered_sightings, small_camera, stated_calibration, sun_arc
 
 from sunarc.calibration.answers.error_model import rotated
+from sunarc.calibration.model.pose_change import PoseChange
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.changes import record as module
 from sunarc.changes.daily_rotations import DailyRotations
@@ -70,7 +71,7 @@ def test_a_jump_over_a_gap_of_hours_is_none() -> None:
     residual = _noise(200)
     residual[100:] += 1.0
     found = module.jumps_within_days(residual, _usable(times))
-    assert all(abs(one.row - 100) > 6 for one in found)
+    assert all(abs(row - 100) > 6 for row, _ in found)
 
 
 def _days(count: int, *, per_day: int = 60) -> tuple[FloatArray, NDArray[np.int64]]:
@@ -84,8 +85,7 @@ def test_a_move_at_night_stands_out_from_the_other_nights() -> None:
     residual = _noise(times.size)
     residual[day >= 3] += [0.5, 0.5]
     found = module.night_changes(residual, _usable(times, day=day))
-    assert [one.row for one in found] == [180]
-    assert found[0].smallest_deg == 0.05
+    assert found == [(180, 0.05)]
 
 
 def test_nights_that_are_alike_suggest_nothing() -> None:
@@ -146,7 +146,10 @@ def test_places_are_about_the_clearest_step_and_none_without() -> None:
 
 
 def test_steps_that_overlap_one_another_count_once() -> None:
-    steps = [module.PoseStep(10.0, 20.0, 0.3), module.PoseStep(15.0, 25.0, 0.3), module.PoseStep(20.0, 30.0, 0.1)]
+    steps = [
+        PoseChange(time=after, bracket=(before, after), rotation_deg=np.array([0.0, 0.3, 0.0]), cause="moved")
+        for before, after in ((10.0, 20.0), (15.0, 25.0), (20.0, 30.0))
+    ]
     assert module.distinct_steps(steps) == [steps[0], steps[2]]
     assert module.distinct_steps([]) == []
 

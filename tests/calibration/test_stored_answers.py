@@ -207,9 +207,9 @@ def _days_of(seed: int) -> DailyRotations:
 
 def _steps(_: Given) -> Numbers:
     days = _days_of(4)
-    shown_change = find_change(days, 10.0)
-    assert shown_change is not None
-    found, _ = shown_change
+    change = find_change(days, 10.0)
+    assert change is not None
+    found = change[0]
     shown = as_shown(days, found.likeliest)
     assert shown is not None
     rng = np.random.default_rng(2)

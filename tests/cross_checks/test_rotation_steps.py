@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from tests.cross_checks.cameras import Wrong, neighbours
 
-from sunarc.calibration.evidence import DAYS_GAIN
+from sunarc.calibration.evidence import DAYS as LIMITS
 from sunarc.calibration.model.pose_change import PoseChange
 from sunarc.changes.daily_rotations import DailyRotations, daily_rotations
 from sunarc.changes.fleet import agreeing, explain_step, find_steps, rotation_of_site, step_sizes
@@ -161,7 +161,7 @@ def test_the_confidence_falls_where_causes_are_alike() -> None:
     _, unsure = explain_step(replace(alike, covariance_deg2=100.0 * COVARIANCE), before=polar, after=polar)
     assert 0.94 < sure <= 0.95  # in one case of twenty it is none of the causes weighed
     assert 0.2 < unsure < 0.9
-    _, faint = explain_step(replace(step_of([0.06, 0.05, -0.06]), gain=DAYS_GAIN), before=SITE, after=SITE)
+    _, faint = explain_step(replace(step_of([0.06, 0.05, -0.06]), gain=LIMITS.gain), before=SITE, after=SITE)
     assert faint < 0.5
 
 

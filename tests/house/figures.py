@@ -350,7 +350,7 @@ def stations_of_sightings(*more: str) -> set[Station]:
         if event not in {"call", "return"} or not code.co_filename.startswith(package) or code.co_name.startswith("<"):
             return
         place, function = str(Path(code.co_filename).relative_to(package)), code.co_qualname
-        if place == "calibration/change_points.py" and function == "calibrate_moved":
+        if place == "changes/record.py" and function == "calibrate_moved":
             begun.add(function)
         if event == "return" and function == "Sightings.__post_init__":
             columns.update({id(one): one for one in _arrays(frame.f_locals["self"])})

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sunarc.calibration.evidence import DAYS_GAIN
+from sunarc.calibration.evidence import DAYS
 from sunarc.changes.daily_rotations import DailyRotations, step_gains
 from sunarc.common.array_types import FloatArray
 
@@ -51,7 +51,7 @@ def test_a_step_in_a_long_record_is_the_clearest_where_it_is(at: int) -> None:
     step = np.outer(day >= at, [0.05, -0.04, 0.08])
     gain = step_gains(days_of(season + step + rng.normal(0.0, SIGMA_DEG, (90, 3)), day))
     assert int(np.argmax(gain)) == at
-    assert gain[at] > DAYS_GAIN
+    assert gain[at] > DAYS.gain
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -61,7 +61,7 @@ def test_a_season_single_days_and_a_mast_that_leans_are_no_step(seed: int) -> No
     rotation = np.outer(np.sin(day / 58.0), [0.02, -0.03, 0.05]) + np.outer(0.001 * day, [0.5, 0.5, 0.7])
     rotation += rng.normal(0.0, SIGMA_DEG, (90, 3))
     rotation[[20, 61]] += 0.3
-    assert float(step_gains(days_of(rotation, day)).max()) < DAYS_GAIN
+    assert float(step_gains(days_of(rotation, day)).max()) < DAYS.gain
 
 
 @pytest.mark.parametrize("n", [0, 1, 4])

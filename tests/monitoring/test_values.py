@@ -7,9 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
+from tests.fixtures.calibration import small_camera
 
-from sunarc.changes.values import Sighting, SightingWindow, WatchOptions
+from sunarc.calibration.evidence import ONLINE
+from sunarc.calibration.model.pose_change import pose_before, turn_between
+from sunarc.changes.values import OF_LENS, Sighting, SightingWindow, WatchOptions, lens_freedom
 from sunarc.common.errors import InputError
+from sunarc.optics.camera import Param
+from sunarc.optics.pose import rotation_between
 
 
 def _grown(count: int) -> SightingWindow:
@@ -72,3 +78,28 @@ def test_options_out_of_bounds_are_refused(wrong: dict[str, float]) -> None:
 
 def test_options_at_their_bounds_are_taken() -> None:
     assert WatchOptions(wander_deg=0.0).wander_deg == 0.0
+
+
+def test_a_turn_takes_one_pose_to_the_next_and_back() -> None:
+    before, after = (0.1, -3.0, 0.2), (-0.2, -2.9, 0.4)
+    turn = turn_between(before, after)
+    assert np.linalg.norm(turn) == pytest.approx(math.degrees(rotation_between(before, after)))
+    np.testing.assert_allclose(pose_before(after, turn), before, atol=1e-12)
+    # turned by 10 degrees about the vertical a camera that looked at the sky sees it turn the other way
+    up = Rotation.from_rotvec([0.0, 0.0, 10.0], degrees=True)
+    turned = (Rotation.from_rotvec(before) * up.inv()).as_rotvec()
+    np.testing.assert_allclose(turn_between(before, turned), [0.0, 0.0, 10.0], atol=1e-9)
+
+
+def test_a_lens_changes_by_the_parameters_of_its_kind_and_both_focal_lengths_alike() -> None:
+    camera = small_camera()
+    names = [Param.K2, Param.FOCAL_LENGTH_Y_PX, Param.FOCAL_LENGTH_X_PX, Param.PRINCIPAL_POINT_Y_PX]
+    focal, center, radial = ONLINE.lens
+    focal_px = focal * camera.focal_length_px[0]
+    refocused = lens_freedom(camera, names, OF_LENS["refocus"], ONLINE)
+    assert refocused.tolist() == [[0.0], [focal_px], [focal_px], [0.0]]
+    shifted = lens_freedom(camera, names, OF_LENS["shift"], ONLINE)
+    assert shifted.tolist() == [[0.0, 0.0]] * 3 + [[0.0, center * camera.height]]
+    lens = lens_freedom(camera, names, OF_LENS["lens"], ONLINE)
+    assert lens.shape == (4, 5)
+    assert lens[0].tolist() == [0.0, 0.0, 0.0, radial, 0.0]

@@ -17,8 +17,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.evidence import SEQUENCE_GAIN, bounded_cost, likeliest_path
+from sunarc.calibration.evidence import EPOCHS, bounded_cost, likeliest_path
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, Mirrored
+from sunarc.calibration.model.pose_change import Cause
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.pose import estimate_pose
@@ -366,7 +367,7 @@ def _of_explained_days(near: BoolArray, day: IntArray) -> BoolArray:
 
 
 def changed_states(
-    states: Sequence[State], state: State, sides: tuple[Sightings, Sightings], cause: EpochCause, camera: ArchiveCamera
+    states: Sequence[State], state: State, sides: tuple[Sightings, Sightings], cause: Cause, camera: ArchiveCamera
 ) -> list[State]:
     """Return the states of sightings before and after a change within a state, new poses and lenses numbered anew.
 
@@ -425,7 +426,7 @@ def find_epochs(points: Sightings, states: Sequence[State], camera: ArchiveCamer
     """
     noise = np.hypot(noise_of_days(points, camera.site), _MISFIT_PX)
     costs = np.stack([bounded_cost(camera.distances(state, points) / noise, 1.0) for state in states], axis=1)
-    path = likeliest_path(costs, change_cost=SEQUENCE_GAIN)
+    path = likeliest_path(costs, change_cost=EPOCHS.gain)
     return epochs_of(path, states, points), path
 
 

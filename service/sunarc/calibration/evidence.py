@@ -11,7 +11,7 @@ References: R. Kass and A. Raftery, "Bayes factors", J. Am. Stat. Assoc. 90 (199
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Generic, NamedTuple, TypeVar
 
@@ -31,21 +31,44 @@ _SWEEPS = 8
 T = TypeVar("T")
 
 
-MONITOR_GAIN = 20.0
-"""By how many powers of e a change must explain the observations better than none: asked after every sighting.
+class Limits(NamedTuple):
+    """Limits of one search for a change of a camera.
 
-Kass and Raftery (1995) call 5 very strong; a camera is changed about once a year, and each search asks at many places.
-"""
-RECORD_GAIN = 15.0
-"""The same at one of hundreds of sightings of a day (-11.5 with once a year), and 20 times as probable as none (3);
-none of 1,000 cameras that stood still reaches it (docs/studies.md)."""
-DAYS_GAIN = 13.0
-"""The same for the rotations of some 60 days: less than one false step in a camera-year (docs/studies.md)."""
-SEQUENCE_GAIN = 20.0
-"""The same at one of some thousands of sightings of an archive (-8): three of them have to speak for it, and three
-false ones in a row that fit another state are rare."""
+    They differ by how often a search asks, and by what it observes.
+    """
+
+    gain: float
+    """Powers of e by which a change must explain the observations better than none."""
+    turn_deg: float
+    """1-sigma of a turn about each axis before the observations."""
+    least_deg: float
+    """Turn that is no change: mounts wander and lean by less."""
+    rarer: Mapping[str, float]
+    """Powers of e by which a cause is rarer than the others of the search; negative of one that a fact supports."""
+    lens: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """1-sigma of a change of the lens: shares of the focal length and of the image's size, and radial coefficients."""
+
+
 RARER = 6.0
 """Powers of e by which a rarer explanation must be better than a turn of the camera to be named."""
+ONLINE = Limits(20.0, 0.02, 0.01, {"bump": 0.0, "clock": 5.0}, (0.05, 0.03, 0.02))
+"""Asked after every sighting: Kass and Raftery (1995) call 5 very strong, a camera is changed about once a year, and
+each search asks at many places. The 1-sigma of a turn is that of the turn itself, and this at least. A clock whose host
+reports no step is rarer than a turn by 5."""
+RECORD = Limits(15.0, math.degrees(0.1), 0.05, {})
+"""Asked at one of hundreds of sightings of a day (-11.5 with once a year), 20 times as probable as none (3); none of
+1,000 cameras that stood still reaches it (docs/studies.md). The 1-sigma is that of the pose without a turn; that of a
+turn is the turn itself. The least turn is one over a night."""
+_STATED = {"site": -RARER, "longitude": -RARER}
+_STEPS = {"moved": 2.0, "north": 3.0, "clock": 3.0, "clock_or_north": 3.0}
+DAYS = Limits(13.0, 0.1, 0.0, {"slow_turn": 0.0, **_STEPS, **_STATED})
+"""Asked of the rotations of some 60 days, of a long record and of neighbours: less than one false step in a camera-year
+(docs/studies.md). The 1-sigma is a blow, a camera put straight, 24 s of a clock. Rarities by
+docs/studies/cross_checks.py and pose_changes.py."""
+EPOCHS = Limits(20.0, 1.0, 0.05, {"moved": 0.0, "clock": 5.0, "lens": RARER}, (0.03, 0.01, 0.02))
+"""Asked at one of some thousands of sightings of an archive (-8): three of them have to support it, and three false
+ones in a row that fit another state are rare. The least turn is a drift that the uncertainty allows for: every mount
+leans within a decade."""
 
 
 class Weighed(NamedTuple, Generic[T]):

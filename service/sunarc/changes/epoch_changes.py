@@ -15,16 +15,15 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
-from sunarc.calibration.evidence import SEQUENCE_GAIN, Explained, Weighed, explained, most_probable, step_evidences
+from sunarc.calibration.evidence import EPOCHS, Explained, Weighed, explained, most_probable, step_evidences
 from sunarc.calibration.model.pose_change import PoseChange
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.quality.day_arcs import smooth_arc
-from sunarc.changes.online import rarity
+from sunarc.changes.values import CENTER, lens_freedom
 from sunarc.common.array_types import FloatArray, IntArray
 from sunarc.common.findings import Finding
-from sunarc.common.robust_statistics import robust_sigma
+from sunarc.common.robust_statistics import off_neighbours, robust_sigma
 from sunarc.common.utc import DAY_S
 from sunarc.optics.camera import POSE, Camera, Param
 from sunarc.optics.forward import by_direction, project_fast, project_with_rows_fast
@@ -41,16 +40,13 @@ _FEWEST_OF_ARC, _MANY_OF_ARC = 9, 60
 """Sightings of a day that show its noise; that of fewer is the usual one of all days."""
 _LEAST_NOISE_PX = 0.05
 _GROSS_SIGMAS = 3.5
-_NEIGHBOURS = 4
-"""Sightings on each side whose median shows that one is false."""
 _MISFIT_PX, _MISFIT_SHARE = 0.15, 0.5
 """1-sigma by which a half-day's sightings err alike: px, and in the day's noise."""
 _HALF_DAY_S = 6.0 * 3600.0
 _FEWEST_BESIDE = 8
 """Sightings on either side of a change within a state."""
-_CLOCK_S, _POSE_RAD = 600.0, math.radians(1.0)
-_FOCAL_SHARE, _CENTER_SHARE, _RADIAL = 0.03, 0.01, 0.02
-"""1-sigma of a change: of the clock, of the pose about each axis, of focal length, place (share of the width), k2."""
+_CLOCK_S, _POSE_RAD = 600.0, math.radians(EPOCHS.turn_deg)
+"""1-sigma of a change: of the clock, and of the pose about each axis."""
 _COMMON_LENS = 0.3
 """1-sigma of what the state itself is wrong by, in that of a change of the lens."""
 _LENS_AMONG_CHANGES = 3.0
@@ -58,14 +54,13 @@ _LENS_AMONG_CHANGES = 3.0
 _STEP_S = 30.0
 _AGREES_PX, _AGREES_SIGMAS, _FEWEST_OF_HALF = 0.3, 1.5, 4
 """How far off the middle of half a day may lie: px, and in the day's noise; fewer sightings have no middle."""
-_LENS = (Param.FOCAL_LENGTH_X_PX, Param.PRINCIPAL_POINT_X_PX, Param.PRINCIPAL_POINT_Y_PX, Param.K2)
+_CHANGED = (Param.FOCAL_LENGTH_X_PX, *CENTER, Param.K2)
+_LENS = [*_CHANGED, Param.FOCAL_LENGTH_Y_PX]
 _DRIFT_DEG = (0.05, 0.2, 0.8)
 """1-sigma of what a camera has drifted at either end of an epoch, about each axis or the pole: all equally likely."""
 _DRIFT_GAIN = 10.0
 """Powers of e by which a drift must explain an epoch better than none: it is asked for once. Of 24 archives of cameras
 that stood still none reached 0."""
-_DRIFT_STATED_DEG = 0.05
-"""Root mean square of a drift up to which it is allowed for by the uncertainty; every mount leans within a decade."""
 _ONE_VIEW = 0.1
 """Of the focal length: how far off one camera's predictions the days of its drift lie, at most."""
 
@@ -83,7 +78,7 @@ def spread_deg(drift: PoseChange) -> FloatArray:
 
 def drift_finding(drift: PoseChange) -> Finding | None:
     """Return that the sightings of an epoch are of no one camera; None where they may be."""
-    if drift.gain < _DRIFT_GAIN or max(spread_deg(drift)) < _DRIFT_STATED_DEG:
+    if drift.gain < _DRIFT_GAIN or max(spread_deg(drift)) < EPOCHS.least_deg:
         return None
     return Finding("clock_drifts_on" if drift.cause == "clock" else "mount_drifts", drift.data)
 
@@ -160,18 +155,21 @@ def change_within(points: Sightings, camera: Camera, site: Site, noise_px: Float
     for cause, columns in linear.steps.items():
         gains = step_evidences(linear.values, linear.common, columns)[_FEWEST_BESIDE:-_FEWEST_BESIDE]
         gain = float(gains.max() - none)
-        first, rarer = int(index[_FEWEST_BESIDE + int(np.argmax(gains))]), _rarer(cause)
-        turned = np.concatenate([columns[..., N_TURN:], linear.turns], axis=-1) * (index >= first)[:, None, None]
+        first, rarer = int(index[_FEWEST_BESIDE + int(np.argmax(gains))]), EPOCHS.rarer[cause]
+        turned = (
+            np.concatenate([columns[..., N_TURN:], EPOCHS.turn_deg * linear.turns], axis=-1)
+            * (index >= first)[:, None, None]
+        )
         turn = _explained(linear, turned)
         change = PoseChange(
             time=float(points.unix_s[first]),
             bracket=(float(points.unix_s[first - 1]), float(points.unix_s[first])),
-            rotation_deg=turn.mean[-N_TURN:],
-            covariance_deg2=turn.covariance[-N_TURN:, -N_TURN:],
+            rotation_deg=EPOCHS.turn_deg * turn.mean[-N_TURN:],
+            covariance_deg2=EPOCHS.turn_deg**2 * turn.covariance[-N_TURN:, -N_TURN:],
             cause=cause,
             gain=gain - rarer,
         )
-        weighed.append(Weighed(change, gain, rarer + SEQUENCE_GAIN))
+        weighed.append(Weighed(change, gain, rarer + EPOCHS.gain))
     return most_probable(weighed).explanation
 
 
@@ -246,8 +244,8 @@ def drift_within(
         causes: list[StepCause] = [cause if cause in linear.steps else "moved" for _, cause in changes]
         begun = [(index >= row)[:, None, None] for row, _ in changes]
         steps = _explained(linear, *(linear.steps[one] * late for one, late in zip(causes, begun, strict=True)))
-        rarer = sum(SEQUENCE_GAIN + _rarer(one) for one in causes)
-        if gain - SEQUENCE_GAIN < steps.log_evidence - none - rarer:
+        rarer = sum(EPOCHS.gain + EPOCHS.rarer[one] for one in causes)
+        if gain - EPOCHS.gain < steps.log_evidence - none - rarer:
             return None
     middle = _DRIFT_DEG[len(_DRIFT_DEG) // 2]
     turn = _explained(linear, _drifting(middle * linear.turns, along))
@@ -285,9 +283,7 @@ def _drifting(turns: FloatArray, along: FloatArray) -> FloatArray:
 
 def _with_gross(residual: FloatArray, noise_px: FloatArray) -> FloatArray:
     """Return the noise (n,), larger where a residual (n, 2) lies far beside those of its neighbours."""
-    padded = np.pad(residual, ((_NEIGHBOURS, _NEIGHBOURS), (0, 0)), mode="reflect")
-    middle = np.median(sliding_window_view(padded, 2 * _NEIGHBOURS + 1, axis=0), axis=-1)
-    beside = np.linalg.norm(residual - middle, axis=-1) / noise_px
+    beside = off_neighbours(residual) / noise_px
     return np.asarray(noise_px * np.maximum(beside / (2.0 * _GROSS_SIGMAS), 1.0) ** 2)
 
 
@@ -302,9 +298,7 @@ def _linear(points: Sightings, camera: Camera, residual: FloatArray, noise_px: F
     usual = np.median(noise_px)
     misfit = max(_MISFIT_PX, _MISFIT_SHARE * float(usual))
     root = 1.0 / np.sqrt(noise_px**2 + count[member] * misfit**2)
-    lens = rows[..., list(_LENS)].copy()
-    lens[..., 0] += rows[..., Param.FOCAL_LENGTH_Y_PX]
-    lens *= np.array([_FOCAL_SHARE * camera.focal_length_px[0], *(2 * [_CENTER_SHARE * camera.width]), _RADIAL])
+    lens = rows[..., _LENS] @ lens_freedom(camera, _LENS, _CHANGED, EPOCHS)
     pose = rows[..., POSE] * _POSE_RAD
     before, after = (
         project_with_rows_fast(camera, sun_directions(points.unix_s + one, site))[0] for one in (-_STEP_S, _STEP_S)
@@ -325,11 +319,6 @@ def _linear(points: Sightings, camera: Camera, residual: FloatArray, noise_px: F
 def _explained(linear: _Linear, *columns: FloatArray) -> Explained:
     """Return the evidence of residuals with further columns (n, 2, q) of unit prior variance."""
     return explained(linear.values, np.ones(len(linear.values)), np.concatenate([linear.common, *columns], axis=-1))
-
-
-def _rarer(cause: StepCause) -> float:
-    """Return by how many powers of e a change is rarer than a turn."""
-    return 0.0 if cause == "moved" else rarity(cause, clock_stepped=False)
 
 
 def agreeing_days(residual: FloatArray, noise_px: FloatArray, unix_s: FloatArray, site: Site) -> list[IntArray]:

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sunarc.calibration.evidence import DAYS_GAIN, RARER, Weighed, log_marginal, most_probable
+from sunarc.calibration.evidence import DAYS, RARER, Weighed, log_marginal, most_probable
 from sunarc.calibration.model.pose_change import Cause, PoseChange
 from sunarc.changes.daily_rotations import DailyRotations, as_shown, find_change
 from sunarc.common.array_types import FloatArray, picked
@@ -27,11 +27,6 @@ FEWEST_AGREEING = 3
 """Others that must show a camera's change, each by itself, for the camera to be named."""
 _SHARE, _LEAST_SHOWN = 0.5, 3.0
 """By how much of its size a change may be another one beside another camera, and its least gain there."""
-_SIZE_DEG = 0.1
-"""1-sigma of a change about each axis before it is seen: a blow, a camera put straight, 24 s of a clock."""
-_RARER_MOVED, _RARER_NAMED = 2.0, 3.0
-"""Powers of e by which a step about any axis, and one about that of a clock or of north, is rarer than a slow turn; by
-docs/studies/cross_checks.py and pose_changes.py."""
 _NOT_WEIGHED = 0.05
 """Share of causes with a probability of nearly 1 among those weighed that were none of them: mounts that walk, days
 that all cameras have wrong alike; by docs/studies/cross_checks.py."""
@@ -63,7 +58,7 @@ def explain_step(step: PoseChange, *, before: Site, after: Site) -> tuple[PoseCh
     best = most_probable(weighed).explanation
     of_cause = [one.log_evidence - one.rarer for one in weighed if one.explanation.cause == best.cause]
     of_others = [one.log_evidence - one.rarer for one in weighed if one.explanation.cause != best.cause]
-    against = np.logaddexp.reduce([*of_others, DAYS_GAIN]) - np.logaddexp.reduce(of_cause)
+    against = np.logaddexp.reduce([*of_others, DAYS.gain]) - np.logaddexp.reduce(of_cause)
     return best, (1.0 - _NOT_WEIGHED) * float(np.exp(-np.logaddexp(0.0, against)))
 
 
@@ -91,24 +86,25 @@ def _explanations(change: PoseChange, before: Site, after: Site) -> list[Weighed
     size = change.rotation_deg
 
     def evidence(axes: FloatArray, left: FloatArray = size) -> float:
-        return log_marginal(left[:, None], change.covariance_deg2, _SIZE_DEG * axes[:, None, :])
+        return log_marginal(left[:, None], change.covariance_deg2, DAYS.turn_deg * axes[:, None, :])
 
-    def weighed(cause: Cause, log_evidence: float, rarer: float) -> Weighed[PoseChange]:
+    def weighed(cause: Cause, log_evidence: float, rarer: float | None = None) -> Weighed[PoseChange]:
+        rarer = DAYS.rarer[cause] if rarer is None else rarer
         return Weighed(replace(change, cause=cause), change.gain + log_evidence - of_any, rarer)
 
     of_any = evidence(np.eye(3))
     clock, north = evidence(pole_enu(before)[:, None]), evidence(_UP[:, None])
     if change.settling > 0.0:  # a statement changes at once, and so does north
-        return [weighed("slow_turn", of_any, 0.0), weighed("clock", clock, RARER)]
-    found = [weighed("moved", of_any, _RARER_MOVED)]
+        return [weighed("slow_turn", of_any), weighed("clock", clock, RARER)]
+    found = [weighed("moved", of_any)]
     if min(clock, north) > of_any:
-        found.append(weighed("clock_or_north", max(clock, north), _RARER_NAMED))
+        found.append(weighed("clock_or_north", max(clock, north)))
     else:
-        found += [weighed("clock", clock, _RARER_NAMED), weighed("north", north, _RARER_NAMED)]
+        found += [weighed("clock", clock), weighed("north", north)]
     restated = rotation_of_site(before, after)
     if np.any(restated):
         named: Cause = "longitude" if before.latitude == after.latitude else "site"
-        found.append(weighed(named, evidence(np.zeros((3, 1)), size - restated), -RARER))
+        found.append(weighed(named, evidence(np.zeros((3, 1)), size - restated)))
     return found
 
 
@@ -118,7 +114,7 @@ def _about(size: FloatArray, information: FloatArray, axis: FloatArray) -> tuple
     return float(axis @ information @ size) / weight, weight**-0.5
 
 
-def find_steps(cameras: Sequence[DailyRotations], *, min_gain: float = DAYS_GAIN) -> tuple[PoseChange | None, ...]:
+def find_steps(cameras: Sequence[DailyRotations], *, min_gain: float = DAYS.gain) -> tuple[PoseChange | None, ...]:
     """Return the change of each camera of a group of neighbours; None of one that shows none clearly.
 
     What all of them have in common on a day is not a camera's: refraction, a time server, a new version of the

@@ -25,7 +25,7 @@ from sunarc.calibration.answers.error_model import (
     rotated,
 )
 from sunarc.calibration.evidence import (
-    MONITOR_GAIN,
+    ONLINE,
     RARER,
     MixtureFit,
     PixelResiduals,
@@ -42,7 +42,16 @@ from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.pose import conditioned, noise_px
 from sunarc.calibration.solve.problem import by_elevation
 from sunarc.calibration.start.initial_guess import ransac_rotation
-from sunarc.changes.values import ChangeKind, Hypothesis, Sighting, SightingWindow, WatchOptions
+from sunarc.changes.values import (
+    CENTER,
+    OF_LENS,
+    ChangeKind,
+    Hypothesis,
+    Sighting,
+    SightingWindow,
+    WatchOptions,
+    lens_freedom,
+)
 from sunarc.common.array_types import BoolArray, FloatArray, IntArray, picked, stacked
 from sunarc.common.findings import Finding
 from sunarc.common.robust_statistics import finite
@@ -138,7 +147,7 @@ def _of_turns(error_model: CameraErrorModel, at: Predicted, wander: FloatArray) 
 # one for a clock, none for a mirrored image); its evidence is that of all sightings, before and after, false ones among
 # them. Reference for the weighing: R. Kass and A. Raftery, "Bayes factors", J. Am. Stat. Assoc. 90 (1995).
 
-_SMALLEST_ROTATION_RAD = math.radians(0.02)
+_SMALLEST_ROTATION_RAD = math.radians(ONLINE.turn_deg)
 _RECENT, _STRIDE, _FEW = 12, 3, 4
 _LEAST_AGREEING = 4
 """Fewest sightings after a change that agree on it: three fix a rotation with one to check it."""
@@ -150,20 +159,10 @@ _FEW_AGREEING = 6
 """From so many agreeing sightings on `_CLEARER_THAN_CLOUD` holds: by then an episode of cloud has begun to drift."""
 _LENS_CLEARER_THAN_CLOUD = 12.0
 """The same for a change of the lens, whose many free numbers follow a drift, and after which nothing is kept."""
-_CLOCK_RARER = 5.0
-"""Powers of e that a clock is less likely than a bump where the host's clock reports no step."""
 _AS_LIKELY = 5.0
 _CLOSE, _CLOSE_PX, _FAR_PX = 5.0, 0.5, 25.0
 _LARGEST_SPREAD_PX2 = 1.0
 _LONG, _ROUGH_PX = 10, 5.0
-_FOCAL_SHARE, _CENTER_SHARE, _RADIAL = 0.05, 0.03, 0.02
-_CENTER = (Param.PRINCIPAL_POINT_X_PX, Param.PRINCIPAL_POINT_Y_PX)
-_OF_LENS: dict[ChangeKind, tuple[Param, ...]] = {
-    "refocus": (Param.FOCAL_LENGTH_X_PX,),
-    "shift": _CENTER,
-    "lens": (Param.FOCAL_LENGTH_X_PX, *_CENTER, Param.K2, Param.K3),
-}
-"""Which of the camera's parameters may be others after a change of the lens."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -204,21 +203,21 @@ def best_hypothesis(
     weighed = [Weighed(one, one.evidence, rarity(one.of.kind, clock_stepped=clock_stepped)) for one in rivals]
     selected = most_probable([Weighed(best[0], best[0].evidence), *weighed]).explanation
     gain = selected.evidence - nothing.log_evidence
-    if gain < MONITOR_GAIN or selected.agreeing < _LEAST_AGREEING:
+    if gain < ONLINE.gain or selected.agreeing < _LEAST_AGREEING:
         return None
     if selected.agreeing < int(nothing.inlier[selected.of.first :].sum()):
         return None
     if selected.evidence - drift_evidence(window, selected.of.first) < _clearer_than_cloud(selected):
         return None
     alike = [rotation.of.first for rotation in best if rotation.evidence > selected.evidence - _AS_LIKELY]
-    near = {one.of.kind for one in rivals if one.of.kind in _OF_LENS and one.evidence > selected.evidence - RARER}
+    near = {one.of.kind for one in rivals if one.of.kind in OF_LENS and one.evidence > selected.evidence - RARER}
     perhaps = tuple(sorted(near)) if selected.of.kind == "bump" else ()
     return describe_change(window, selected.of, selected.mixture, gain=gain, alike=alike, perhaps=perhaps)
 
 
 def _clearer_than_cloud(scored: ScoredHypothesis) -> float:
     """Return by how many powers of e a change must be better than an episode of cloud."""
-    if scored.of.kind in _OF_LENS:
+    if scored.of.kind in OF_LENS:
         return _LENS_CLEARER_THAN_CLOUD
     return _CLEARER_AT_FIRST if scored.agreeing < _FEW_AGREEING else _CLEARER_THAN_CLOUD
 
@@ -255,7 +254,7 @@ def _weigh(window: ResidualModel, explanation: Hypothesis) -> ScoredHypothesis:
     covariance[2 * before.size :, 2 * before.size :] += free @ free.T
     sightings = replace(window.sightings, residual=residual)
     off = np.linalg.norm(residual[explanation.first :] + after.rows @ explanation.mean, axis=-1)
-    rough = _FAR_PX if explanation.kind in _OF_LENS else _CLOSE_PX
+    rough = _FAR_PX if explanation.kind in OF_LENS else _CLOSE_PX
     close = off < _CLOSE * np.sqrt(sightings.variance[explanation.first :]) + rough
     inlier = np.concatenate([window.watch.trusted[before], close])
     return ScoredHypothesis(of=explanation, mixture=fit_inlier_mixture(covariance, sightings, inlier))
@@ -309,7 +308,7 @@ def _rivals(
     others += [lens_hypothesis(window, still, kind=kind) for kind in ("refocus", "shift")]
     complete = rotation_from(window, 0, least=_FEW) if posed_from_few and best.of.first > 0 else None
     if complete is not None:
-        others += [lens_hypothesis(window, complete.of, kind=kind) for kind in _OF_LENS]
+        others += [lens_hypothesis(window, complete.of, kind=kind) for kind in OF_LENS]
     return [_weigh(window, other) for other in others]
 
 
@@ -349,21 +348,8 @@ def _flips(window: ResidualModel, site: Site, first: int) -> list[Hypothesis]:
 
 def lens_hypothesis(window: ResidualModel, rotation: Hypothesis, *, kind: ChangeKind = "lens") -> Hypothesis:
     """Return a turn with a lens of which little is known, or of which only the focus or the place is another."""
-    names = list(window.error_model.selected)
-    camera, size = window.camera, window.error_model.mean.size
-    spread = {
-        Param.FOCAL_LENGTH_X_PX: _FOCAL_SHARE * camera.focal_length_px[0],
-        Param.PRINCIPAL_POINT_X_PX: _CENTER_SHARE * camera.width,
-        Param.PRINCIPAL_POINT_Y_PX: _CENTER_SHARE * camera.height,
-        Param.K2: _RADIAL,
-        Param.K3: _RADIAL,
-    }
-    columns = np.zeros((size, len(_OF_LENS[kind])))
-    for column, index in enumerate(_OF_LENS[kind]):
-        if index in names:
-            columns[names.index(index), column] = spread[index]
-    if Param.FOCAL_LENGTH_Y_PX in names:  # both focal lengths change alike
-        columns[names.index(Param.FOCAL_LENGTH_Y_PX)] = columns[names.index(Param.FOCAL_LENGTH_X_PX)]
+    names = [int(one) for one in window.error_model.selected]
+    columns = lens_freedom(window.camera, names, OF_LENS[kind], ONLINE)
     return replace(rotation, kind=kind, free=np.concatenate([rotation.free, columns], axis=1))
 
 
@@ -382,9 +368,9 @@ def rarity(kind: ChangeKind, *, clock_stepped: bool | None) -> float:
 
     A clock that the host set is not rarer, and one that nothing watches (None) is set as often as a camera is turned.
     """
-    if kind != "clock":
-        return RARER
-    return 0.0 if clock_stepped is None else -RARER if clock_stepped else _CLOCK_RARER
+    if kind == "clock" and clock_stepped is not False:
+        return 0.0 if clock_stepped is None else -RARER
+    return ONLINE.rarer.get(kind, RARER)
 
 
 # Evidence of an episode of cloud: detections that drift away smoothly while camera, clock and lens are as they were.
@@ -476,7 +462,7 @@ def drift_covariance(window: ResidualModel, drift: Drift) -> FloatArray:
 # A change as a finding, with its size.
 
 _SECOND_RAD = 7.292e-5
-_UNITS: dict[ChangeKind, str] = {"clock": "s", "refocus": "%", "shift": "px"}
+_UNITS: dict[str, str] = {"clock": "s", "refocus": "%", "shift": "px"}
 _PERHAPS: dict[ChangeKind, str] = {
     "lens": "another lens",
     "refocus": "a refocused lens",
@@ -559,7 +545,7 @@ def _sizes(
     """
     names, rotation, kind = list(window.error_model.selected), window.error_model.rotation, explanation.kind
     still = 0.0, 0.0, np.zeros(3), np.zeros((3, 3))
-    if kind not in ("bump", "clock", "refocus", "shift") or not {Param.FOCAL_LENGTH_X_PX, *_CENTER} <= set(names):
+    if kind not in ("bump", "clock", "refocus", "shift") or not {Param.FOCAL_LENGTH_X_PX, *CENTER} <= set(names):
         return still
     after = _after(window, explanation, mixture)
     change = after.mean.copy()
@@ -570,7 +556,7 @@ def _sizes(
     elif kind == "refocus":
         axis[names.index(Param.FOCAL_LENGTH_X_PX)], unit = 1.0, 100.0 / window.camera.focal_length_px[0]
     else:
-        of = rotation if kind == "bump" else [names.index(i) for i in _CENTER]
+        of = rotation if kind == "bump" else [names.index(i) for i in CENTER]
         axis[of] = change[of] / max(float(np.linalg.norm(change[of])), 1e-12)
         unit = math.degrees(1.0) if kind == "bump" else 1.0
     sigma = math.sqrt(max(float(axis @ after.covariance @ axis), 0.0))

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from sunarc.calibration.calibrate import FitInput, calibrate, calibrate_chosen, prepared
-from sunarc.calibration.evidence import DAYS_GAIN, RECORD_GAIN
+from sunarc.calibration.evidence import DAYS, RECORD
 from sunarc.calibration.lens_library.conditioning import with_lens
 from sunarc.calibration.lens_library.first_pose import first_pose
 from sunarc.calibration.lens_library.lens_type import LensType
@@ -51,8 +51,6 @@ _MEDIAN_DISTANCE = 1.1774
 _JUMP_SIGMAS = 4.0
 _JUMPS_TRIED = 3
 _NIGHT_RATIO = 4.0
-_SMALLEST_NIGHT_DEG = 0.05
-"""Mounts wander by less from a day to the next."""
 _GAIN = 40.0
 """What three more unknowns must take from the squares of the residuals, in variances, wherever the move may be."""
 _MOST = 6
@@ -125,7 +123,7 @@ def _with_one_more(
         one = _lens_in(solved, solved.poses[ended]), residual
         two = _lens_in(found.calibration, found.calibration.poses[ended + 1]), there
         gain = log_bayes_factor(row, usable, one=one, two=two, turn_rad=turn_rad)
-        if gain > RECORD_GAIN:
+        if gain > RECORD.gain:
             return found, row, gain
     return None
 
@@ -238,7 +236,7 @@ def night_changes(residual: FloatArray, usable: Sightings) -> list[tuple[int, fl
     row, greatest = max(comparable, key=lambda night: night[1])
     usual = float(np.median([difference for _, difference in comparable])) if len(comparable) > 2 else 0.0
     stands_out = greatest > max(_NIGHT_RATIO * usual, FLOOR_PX)
-    return [(row, _SMALLEST_NIGHT_DEG)] if stands_out else []
+    return [(row, RECORD.least_deg)] if stands_out else []
 
 
 def same_hours_difference(residual: FloatArray, usable: Sightings, early: IntArray, late: IntArray) -> float:
@@ -397,7 +395,7 @@ def step_spans(days: DailyRotations) -> list[tuple[int, int]]:
     """Return the first and last day about each step of the daily rotations, the clearest first."""
     gain = step_gains(days)
     found: list[tuple[int, int]] = []
-    while len(found) < _MOST_PLACES and gain.max(initial=0.0) > DAYS_GAIN:
+    while len(found) < _MOST_PLACES and gain.max(initial=0.0) > DAYS.gain:
         row = int(np.argmax(gain))
         first, last = max(row - _BESIDE, 0), min(row + _BESIDE, len(gain)) - 1
         found.append((int(days.day[first]), int(days.day[last])))

@@ -16,14 +16,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
-from sunarc.calibration.evidence import log_marginal, matern_3_2
+from sunarc.calibration.evidence import RECORD, log_marginal, matern_3_2
 from sunarc.calibration.model.options import LensTolerances
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve.priors import LENS, N_LENS, lens_prior, precisions
 from sunarc.common.array_types import BoolArray, FloatArray, IntArray
-from sunarc.common.robust_statistics import robust_sigma
+from sunarc.common.robust_statistics import off_neighbours, robust_sigma
 from sunarc.common.utc import DAY_S
 from sunarc.optics.camera import POSE, Camera, Param
 from sunarc.optics.forward import project_with_rows_fast
@@ -42,13 +41,10 @@ _EDGE_STEPS = (0.25, 0.25, 0.12, 0.06)
 """Steps by which the ends of an episode are moved, as shares of its length: a loose interval costs 10 powers of e."""
 _EPISODE_GAIN = 2.0
 """Logarithm of the likelihood that an episode must gain: its own improbability."""
-_POSE_RAD = 0.1
-"""Prior 1-sigma of a correction of the pose about the fit; the same in both hypotheses."""
+_POSE_RAD = math.radians(RECORD.turn_deg)
 _RADIAL_PX, _DECENTERING_PX = 16.0, 3.0
 _SPREAD_PER_MEDIAN = 1.2533
 """1-sigma of a median of many Gaussian numbers over that of their mean."""
-_LOCAL = 4
-"""Neighbours on each side whose running median reveals an isolated gross error."""
 _GROSS_SIGMAS = 3.5
 _UNSEEN_PX = 5e3
 _RIGHT_ANGLE = math.pi / 2
@@ -179,9 +175,7 @@ def step_rows(picked: IntArray, member: IntArray, row: int, usable: Sightings, r
     medians = group_medians(residual[picked], member)
     sigma = robust_sigma(np.linalg.norm(medians, axis=-1), share=0.5, floor=FLOOR_PX)
     relative = usable.sigma_px[picked][middle]
-    padded = np.pad(medians, ((_LOCAL, _LOCAL), (0, 0)), mode="reflect")
-    running = np.median(sliding_window_view(padded, 2 * _LOCAL + 1, axis=0), axis=-1)
-    gross = np.linalg.norm(medians - running, axis=-1) / (sigma * relative)
+    gross = off_neighbours(medians) / (sigma * relative)
     variance = (
         relative**2 * np.where(count > 2, _SPREAD_PER_MEDIAN**2, 1.0) * np.maximum(gross / _GROSS_SIGMAS, 1.0) ** 4
     )

@@ -30,6 +30,16 @@ def mad_sigma(residuals: FloatArray) -> float:
     return MAD_TO_SIGMA * median_of(np.abs(residuals).ravel())
 
 
+_NEIGHBOURS = 4
+
+
+def off_neighbours(values: FloatArray) -> FloatArray:
+    """Return how far each of a sequence of points (n, 2) lies from the median of it and its four neighbours a side."""
+    padded = np.pad(values, ((_NEIGHBOURS, _NEIGHBOURS), (0, 0)), mode="reflect")
+    middle = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * _NEIGHBOURS + 1, axis=0), axis=-1)
+    return np.asarray(np.linalg.norm(values - middle, axis=-1))
+
+
 def cauchy_weights(distance: FloatArray, *, scale: float | FloatArray) -> FloatArray:
     """Return the weights 1 / (1 + (d / scale)²) of least squares for Cauchy's loss."""
     return np.asarray(1.0 / (1.0 + (distance / scale) ** 2))

@@ -13,7 +13,6 @@ from tests.fixtures.stored_answers import require_stored, said
 
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.lens_library.first_pose import (
-    calibrate_with_lens,
     first_pose,
     level,
     levelling,
@@ -23,6 +22,7 @@ from sunarc.calibration.lens_library.first_pose import (
 from sunarc.calibration.lens_library.lens_type import LensType
 from sunarc.calibration.model.options import CalibrationOptions, FirstPoseOptions
 from sunarc.calibration.model.result import Calibration
+from sunarc.changes.record import calibrate_with_lens
 from sunarc.common.errors import InputError
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sunarc.calibration.evidence import RECORD
 from sunarc.calibration.model.sightings import Kind, Sightings
 from sunarc.calibration.noise import lag_one, neighbours
 from sunarc.calibration.solve.priors import LENS, STRETCH, with_wide_pixels
@@ -52,8 +53,6 @@ _TURNS = 16
 SWAYS = "sways"
 SWAY_DEG = 0.05
 """1-sigma about each axis of how far the mount is turned on a day: masts bend by hundredths, and settle by tenths."""
-_STEP_DEG = 0.05
-"""A mount that is turned by more between two days, and by that alone, was moved (`changes.record`)."""
 
 
 class _View(NamedTuple):
@@ -144,7 +143,7 @@ def _seem_to_sway(view: _View, in_run: BoolArray, turns: FloatArray) -> bool:
         return False
     at = int(np.argmax(moved))
     turn = _most_probable(late[0], late[1])[at] - _most_probable(early[0], early[1])[at]
-    return swaying > moved[at] or SWAY_DEG * float(np.linalg.norm(turn)) < _STEP_DEG
+    return swaying > moved[at] or SWAY_DEG * float(np.linalg.norm(turn)) < RECORD.least_deg
 
 
 def _most_probable(products: FloatArray, pulls: FloatArray) -> FloatArray:
