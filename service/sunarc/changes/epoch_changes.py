@@ -11,8 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -25,7 +24,7 @@ from sunarc.common.array_types import FloatArray, IntArray
 from sunarc.common.findings import Finding
 from sunarc.common.robust_statistics import off_neighbours, robust_sigma
 from sunarc.common.utc import DAY_S
-from sunarc.optics.camera import POSE, Camera, Param
+from sunarc.optics.camera import Camera, Param
 from sunarc.optics.forward import by_direction, project_fast, project_with_rows_fast
 from sunarc.sky.days import SECONDS_PER_DEGREE, solar_days
 from sunarc.sky.site import Site, pole_enu
@@ -34,7 +33,8 @@ from sunarc.sky.sun import hour_angle, sun_directions
 StepCause = Literal["moved", "lens", "clock"]
 EpochCause = StepCause | Literal["start", "unexplained"]
 N_TURN = 3
-_OF_POSE_OR_LENS: tuple[StepCause, ...] = ("moved", "lens")
+_STEPS: tuple[StepCause, ...] = ("clock", "moved", "lens")
+_OF_POSE_OR_LENS = _STEPS[1:]
 
 _FEWEST_OF_ARC, _MANY_OF_ARC = 9, 60
 """Sightings of a day that show its noise; that of fewer is the usual one of all days."""
@@ -45,13 +45,12 @@ _MISFIT_PX, _MISFIT_SHARE = 0.15, 0.5
 _HALF_DAY_S = 6.0 * 3600.0
 _FEWEST_BESIDE = 8
 """Sightings on either side of a change within a state."""
-_CLOCK_S, _POSE_RAD = 600.0, math.radians(EPOCHS.turn_deg)
-"""1-sigma of a change: of the clock, and of the pose about each axis."""
+_CLOCK_DEG = 2.5
+"""1-sigma of a change of the clock, 600 s."""
 _COMMON_LENS = 0.3
 """1-sigma of what the state itself is wrong by, in that of a change of the lens."""
 _LENS_AMONG_CHANGES = 3.0
 """Powers of e by which a change that is found is rarely one of the lens, too: one in twenty. Turns have -13 to -8."""
-_STEP_S = 30.0
 _AGREES_PX, _AGREES_SIGMAS, _FEWEST_OF_HALF = 0.3, 1.5, 4
 """How far off the middle of half a day may lie: px, and in the day's noise; fewer sightings have no middle."""
 _CHANGED = (Param.FOCAL_LENGTH_X_PX, *CENTER, Param.K2)
@@ -78,9 +77,7 @@ def spread_deg(drift: PoseChange) -> FloatArray:
 
 def drift_finding(drift: PoseChange) -> Finding | None:
     """Return that the sightings of an epoch are of no one camera; None where they may be."""
-    if drift.gain < _DRIFT_GAIN or max(spread_deg(drift)) < EPOCHS.least_deg:
-        return None
-    return Finding("clock_drifts_on" if drift.cause == "clock" else "mount_drifts", drift.data)
+    return None if drift.gain < _DRIFT_GAIN or max(spread_deg(drift)) < EPOCHS.least_deg else drift.finding
 
 
 def noise_of_days(points: Sightings, site: Site) -> FloatArray:
@@ -125,17 +122,33 @@ def _noise_beside_neighbours(pixels: FloatArray, angle: FloatArray) -> float:
     return robust_sigma(np.hypot(off[:, 0], off[:, 1]) / scale, share=0.5, floor=_LEAST_NOISE_PX)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Linear:
-    """Residuals of n sightings and what moves them, whitened: values (n, 2), columns (n, 2, p) of prior variance 1.
-
-    turns: (n, 2, 3) by a degree about east, north and up.
-    """
+class _Linear(NamedTuple):
+    """Residuals of n sightings and what moves them, whitened; columns have unit prior variance."""
 
     values: FloatArray
-    common: FloatArray
-    steps: dict[StepCause, FloatArray]
+    """(n, 2) residuals."""
     turns: FloatArray
+    """(n, 2, 3) by a turn about east, north and up."""
+    lens: FloatArray
+    """(n, 2, 4) by a change of the lens."""
+    clock: FloatArray
+    """(n, 2, 1) by a change of the clock: a turn about the celestial pole."""
+
+    @property
+    def common(self) -> FloatArray:
+        """Return the columns by which the camera itself may be wrong."""
+        return np.concatenate([self.turns, _COMMON_LENS * self.lens], axis=-1)
+
+    def step(self, cause: StepCause) -> FloatArray:
+        """Return the columns of a change; those of a turn come first."""
+        if cause == "clock":
+            return self.clock
+        return self.turns if cause == "moved" else np.concatenate([self.turns, self.lens], axis=-1)
+
+    def explained(self, *columns: FloatArray) -> Explained:
+        """Return the evidence of the residuals with further columns (n, 2, q)."""
+        every = np.concatenate([*columns, self.common], axis=-1)
+        return explained(self.values, np.ones(len(self.values)), every)
 
 
 def change_within(points: Sightings, camera: Camera, site: Site, noise_px: FloatArray) -> PoseChange | None:
@@ -151,26 +164,24 @@ def change_within(points: Sightings, camera: Camera, site: Site, noise_px: Float
     if linear is None:
         return None
     none = step_evidences(linear.values, linear.common, linear.common[..., :0])[0]
-    weighed: list[Weighed[PoseChange | None]] = [Weighed(None, 0.0)]
-    for cause, columns in linear.steps.items():
-        gains = step_evidences(linear.values, linear.common, columns)[_FEWEST_BESIDE:-_FEWEST_BESIDE]
-        gain = float(gains.max() - none)
-        first, rarer = int(index[_FEWEST_BESIDE + int(np.argmax(gains))]), EPOCHS.rarer[cause]
-        turned = (
-            np.concatenate([columns[..., N_TURN:], EPOCHS.turn_deg * linear.turns], axis=-1)
-            * (index >= first)[:, None, None]
-        )
-        turn = _explained(linear, turned)
-        change = PoseChange(
-            time=float(points.unix_s[first]),
-            bracket=(float(points.unix_s[first - 1]), float(points.unix_s[first])),
-            rotation_deg=EPOCHS.turn_deg * turn.mean[-N_TURN:],
-            covariance_deg2=EPOCHS.turn_deg**2 * turn.covariance[-N_TURN:, -N_TURN:],
-            cause=cause,
-            gain=gain - rarer,
-        )
-        weighed.append(Weighed(change, gain, rarer + EPOCHS.gain))
-    return most_probable(weighed).explanation
+    weighed: list[Weighed[tuple[StepCause, int] | None]] = [Weighed(None, 0.0)]
+    for cause in _STEPS:
+        gains = step_evidences(linear.values, linear.common, linear.step(cause))[_FEWEST_BESIDE:-_FEWEST_BESIDE] - none
+        first = int(index[_FEWEST_BESIDE + int(np.argmax(gains))])
+        weighed.append(Weighed((cause, first), float(gains.max()), EPOCHS.rarer[cause] + EPOCHS.gain))
+    best = most_probable(weighed)
+    if best.explanation is None:
+        return None
+    cause, first = best.explanation
+    turn = linear.explained(linear.step("lens" if cause == "lens" else "moved") * (index >= first)[:, None, None])
+    return PoseChange(
+        time=float(points.unix_s[first]),
+        bracket=(float(points.unix_s[first - 1]), float(points.unix_s[first])),
+        rotation_deg=EPOCHS.turn_deg * turn.mean[:N_TURN],
+        covariance_deg2=EPOCHS.turn_deg**2 * turn.covariance[:N_TURN, :N_TURN],
+        cause=cause,
+        gain=best.log_evidence - EPOCHS.rarer[cause],
+    )
 
 
 def is_of_lens(sides: Sequence[tuple[Sightings, Camera, FloatArray]], site: Site) -> bool:
@@ -185,15 +196,9 @@ def is_of_lens(sides: Sequence[tuple[Sightings, Camera, FloatArray]], site: Site
     first, second = (_seen(points, camera, site, noise_px)[0] for points, camera, noise_px in sides)
     if first is None or second is None:
         return False
-    both = replace(
-        first,
-        values=np.concatenate([first.values, second.values]),
-        common=np.concatenate([first.common, second.common]),
-    )
-    moved, lens = (
-        _explained(both, np.concatenate([0.0 * first.steps[one], second.steps[one]])).log_evidence
-        for one in _OF_POSE_OR_LENS
-    )
+    both = _Linear(*(np.concatenate(pair) for pair in zip(first, second, strict=True)))
+    after = (np.arange(len(both.values)) >= len(first.values))[:, None, None]
+    moved, lens = (both.explained(both.step(one) * after).log_evidence for one in _OF_POSE_OR_LENS)
     return lens - moved > _LENS_AMONG_CHANGES
 
 
@@ -234,37 +239,38 @@ def drift_within(
     times = points.unix_s[index]
     half_s = 0.5 * float(times[-1] - times[0])
     along = ((times - times[0]) / half_s - 1.0)[:, None, None]
-    none = _explained(linear).log_evidence
+    none = linear.explained().log_evidence
     found = dict[bool, float]()
     for clock, turns in ((True, linear.turns @ pole_enu(site)[:, None]), (False, linear.turns)):
-        each = [_explained(linear, _drifting(one * turns, along)).log_evidence for one in _DRIFT_DEG]
+        each = [linear.explained(_drifting(one * turns, along)).log_evidence for one in _DRIFT_DEG]
         found[clock] = float(np.logaddexp.reduce(each)) - math.log(len(each)) - none
     gain = max(found.values())
     if changes:
-        causes: list[StepCause] = [cause if cause in linear.steps else "moved" for _, cause in changes]
+        causes: list[StepCause] = [cause if cause in _STEPS else "moved" for _, cause in changes]
         begun = [(index >= row)[:, None, None] for row, _ in changes]
-        steps = _explained(linear, *(linear.steps[one] * late for one, late in zip(causes, begun, strict=True)))
+        steps = linear.explained(*(linear.step(one) * late for one, late in zip(causes, begun, strict=True)))
         rarer = sum(EPOCHS.gain + EPOCHS.rarer[one] for one in causes)
         if gain - EPOCHS.gain < steps.log_evidence - none - rarer:
             return None
     middle = _DRIFT_DEG[len(_DRIFT_DEG) // 2]
-    turn = _explained(linear, _drifting(middle * linear.turns, along))
-    place = slice(linear.common.shape[-1], linear.common.shape[-1] + N_TURN)  # at the end; twice that from the first
-    rotation_deg = 2.0 * middle * turn.mean[place]
+    turn = linear.explained(_drifting(middle * linear.turns, along))
+    rotation_deg = 2.0 * middle * turn.mean[:N_TURN]  # at the end; twice that from the first
     clock, days = found[True] >= found[False] - 1.0, 2.0 * half_s / DAY_S
     turn_deg = float(rotation_deg @ pole_enu(site)) if clock else float(np.linalg.norm(rotation_deg))
-    data: dict[str, float] = {"turn_deg": turn_deg, "days": days, "log_odds": gain}
+    said = {"turn_deg": turn_deg, "days": days, "log_odds": gain}
+    finding = Finding("mount_drifts", said)
     if clock:  # where it is ahead the sun stands farther east than predicted, as in a camera turned clockwise
-        data["s_per_day"] = -turn_deg * SECONDS_PER_DEGREE / max(days, 1.0)
+        s_per_day = -turn_deg * SECONDS_PER_DEGREE / max(days, 1.0)
+        finding = Finding("clock_drifts_on", {**said, "s_per_day": s_per_day})
     return PoseChange(
         time=float(times[0]),
         bracket=(float(times[0]), float(times[-1])),
         settling=math.inf,
         rotation_deg=rotation_deg,
-        covariance_deg2=(2.0 * middle) ** 2 * turn.covariance[place, place],
+        covariance_deg2=(2.0 * middle) ** 2 * turn.covariance[:N_TURN, :N_TURN],
         cause="clock" if clock else "slow_turn",
         gain=gain,
-        data=data,
+        finding=finding,
     )
 
 
@@ -291,34 +297,18 @@ def _linear(points: Sightings, camera: Camera, residual: FloatArray, noise_px: F
     """Return the linear problem of residuals (n, 2) of noise (n,)."""
     directions = sun_directions(points.unix_s, site)
     rows = project_with_rows_fast(camera, directions)[1]
-    about = -math.radians(1.0) * np.cross(np.eye(3), directions[:, None, :])
+    about = -math.radians(EPOCHS.turn_deg) * np.cross(np.eye(3), directions[:, None, :])
     turns = np.einsum("nai,nki->nak", by_direction(camera, rows), about)
-    alike = np.floor((points.unix_s + 240.0 * site.longitude) / _HALF_DAY_S).astype(np.int64)
+    alike = np.floor((points.unix_s + SECONDS_PER_DEGREE * site.longitude) / _HALF_DAY_S).astype(np.int64)
     _, member, count = np.unique(alike, return_inverse=True, return_counts=True)
-    usual = np.median(noise_px)
-    misfit = max(_MISFIT_PX, _MISFIT_SHARE * float(usual))
-    root = 1.0 / np.sqrt(noise_px**2 + count[member] * misfit**2)
-    lens = rows[..., _LENS] @ lens_freedom(camera, _LENS, _CHANGED, EPOCHS)
-    pose = rows[..., POSE] * _POSE_RAD
-    before, after = (
-        project_with_rows_fast(camera, sun_directions(points.unix_s + one, site))[0] for one in (-_STEP_S, _STEP_S)
-    )
-    clock = np.nan_to_num((before - after) / (2.0 * _STEP_S))[..., None] * _CLOCK_S
-
-    def white(columns: FloatArray) -> FloatArray:
-        return np.asarray(columns * root[:, None, None])
-
+    misfit = max(_MISFIT_PX, _MISFIT_SHARE * float(np.median(noise_px)))
+    root = 1.0 / np.sqrt(noise_px**2 + count[member] * misfit**2)[:, None, None]
     return _Linear(
-        values=residual * root[:, None],
-        common=white(np.concatenate([pose, _COMMON_LENS * lens], axis=-1)),
-        steps={"clock": white(clock), "moved": white(pose), "lens": white(np.concatenate([pose, lens], axis=-1))},
-        turns=white(turns),
+        values=residual * root[..., 0],
+        turns=turns * root,
+        lens=rows[..., _LENS] @ lens_freedom(camera, _LENS, _CHANGED, EPOCHS) * root,
+        clock=turns @ (_CLOCK_DEG * pole_enu(site)[:, None]) * root,
     )
-
-
-def _explained(linear: _Linear, *columns: FloatArray) -> Explained:
-    """Return the evidence of residuals with further columns (n, 2, q) of unit prior variance."""
-    return explained(linear.values, np.ones(len(linear.values)), np.concatenate([linear.common, *columns], axis=-1))
 
 
 def agreeing_days(residual: FloatArray, noise_px: FloatArray, unix_s: FloatArray, site: Site) -> list[IntArray]:

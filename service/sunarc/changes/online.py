@@ -53,7 +53,7 @@ from sunarc.changes.values import (
     lens_freedom,
 )
 from sunarc.common.array_types import BoolArray, FloatArray, IntArray, picked, stacked
-from sunarc.common.findings import Finding
+from sunarc.common.findings import Data, Finding
 from sunarc.common.robust_statistics import finite
 from sunarc.optics.camera import Camera, Param
 from sunarc.optics.forward import by_direction, project_fast, project_with_rows_fast
@@ -493,6 +493,7 @@ def describe_change(
     early, late = min([first, *alike]), max([sure, *alike])
     size, sigma, rotation_deg, covariance_deg2 = _sizes(window, explanation, mixture)
     agreeing, of = int(mixture.inlier[first:].sum()), len(window.watch) - first
+    data: Data = {"size": size, "sigma": sigma, "agreeing": agreeing, "of": of, "alternatives": _alternatives(perhaps)}
     return PoseChange(
         time=float(times[sure]),
         bracket=(float(times[max(early - 1, 0)]), float(times[late])),
@@ -501,13 +502,15 @@ def describe_change(
         cause=explanation.kind,
         gain=gain,
         perhaps=perhaps,
-        data={"size": size, "sigma": sigma, "agreeing": agreeing, "of": of, "alternatives": _alternatives(perhaps)},
+        finding=Finding(f"changed_{explanation.kind}", data),
     )
 
 
 def finding_of(change: PoseChange) -> Finding:
-    """Return a change as a code and data."""
-    return Finding(f"changed_{change.cause}", change.data)
+    """Return the finding of a change, which each that is found online has."""
+    if change.finding is None:
+        raise ValueError(f"a change by {change.cause} has no finding")
+    return change.finding
 
 
 def details_of(change: PoseChange) -> dict[str, Any]:
@@ -522,11 +525,11 @@ def details_of(change: PoseChange) -> dict[str, Any]:
         "at_unix_s": change.time,
         "earliest_unix_s": change.bracket[0],
         "latest_unix_s": change.bracket[1],
-        "size_sigma": change.data["sigma"],
+        "size_sigma": finding.data["sigma"],
         "unit": _UNITS.get(change.cause, "degrees"),
         "gain": change.gain,
         "perhaps": ", ".join(change.perhaps),
-        **change.data,
+        **finding.data,
         "text": finding.text,
         "remedy": finding.remedy,
     }

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sunarc.common.array_types import FloatArray
-from sunarc.common.findings import Data
+from sunarc.common.findings import Finding
 from sunarc.optics.pose import rotation_matrix, rotation_vector
 
 Cause = Literal[
@@ -50,8 +50,8 @@ class PoseChange:
     """Causes that explain the observations about as well."""
     slower: PoseChange | None = None
     """Slow turn that explains the observations best in place of a step."""
-    data: Data = field(default_factory=dict)
-    """Further numbers of the search, as its finding states them."""
+    finding: Finding | None = None
+    """Change as a code and data, where the search states it by itself."""
 
     @property
     def turn_deg(self) -> float:

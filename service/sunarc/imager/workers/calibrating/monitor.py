@@ -300,7 +300,8 @@ class WatchWorker:
         """Return whether what a few sightings showed as a step of an unwatched clock is a turn by many."""
         if change is None or self._fault is None or self.host_dates:
             return False
-        return (self._fault.cause, change.cause) == ("clock", "bump") and int(change.data["agreeing"]) >= _MANY_AGREEING
+        agreeing = int(finding_of(change).data["agreeing"])
+        return (self._fault.cause, change.cause) == ("clock", "bump") and agreeing >= _MANY_AGREEING
 
     def _end_fault(self) -> None:
         if self._fault is not None:
