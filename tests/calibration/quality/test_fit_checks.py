@@ -51,6 +51,22 @@ def test_a_scatter_is_refused_beyond_the_limit_and_what_is_stated(
     assert ("rmse_too_large" in codes(verdict.findings)) is refused
 
 
+@pytest.mark.parametrize(("rmse_px", "said_px"), [(700.0, 700.0), (1e7, math.hypot(640.0, 480.0))])
+def test_no_distance_of_a_refusal_is_larger_than_the_image(rmse_px: float, said_px: float) -> None:
+    usable = filtered_sightings(NOON + 60.0 * np.arange(40.0), np.zeros((40, 2)), sun_arc(40))
+    calibration = stated_calibration(small_camera())
+    held_out = {"n": 20, "rmse_px": rmse_px, "stated_px": 3.0, "excess": 9.0, "turned": 0.0, "turn_deg": 0.0}
+    calibration = replace(
+        calibration,
+        metrics=replace(calibration.metrics, rmse_px=rmse_px),
+        evidence=replace(calibration.evidence, n_used=40, held_out=held_out),
+    )
+    found = {one.code: one.data for one in fit_verdict(calibration, usable, CalibrationOptions()).findings}
+    for code in ("rmse_too_large", "held_out_contradicts"):
+        assert found[code]["rmse_px"] == pytest.approx(said_px)
+    assert found["held_out_contradicts"]["stated_px"] == 3.0
+
+
 def test_the_stated_sigma_is_its_root_mean_square() -> None:
     times = NOON + 60.0 * np.arange(4.0)
     pixels = np.arange(8.0).reshape(4, 2) * 30.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from sunarc.calibration.quality.day_arcs import arc_length_deg, unexplained_days
 from sunarc.calibration.quality.day_clocks import unsteady_clock
 from sunarc.calibration.quality.tilt import proposed_limit_deg, tilt_question
 from sunarc.common.findings import Finding
-from sunarc.optics.camera import PARAMETER_NAMES, POSE
+from sunarc.optics.camera import PARAMETER_NAMES, POSE, Camera
 from sunarc.optics.inverse import unproject
 from sunarc.optics.pose import right_jacobian, rotation_matrix
 from sunarc.sky.days import date_of_day, day_bounds_unix_s
@@ -146,7 +147,8 @@ def fit_verdict(
     question = tilt_question(calibration.camera, calibration.site)
     against = [*others, *_against(calibration, usable, options, question=question, tilt_known=tilt_known)]
     if against:
-        return Verdict(accepted=False, findings=tuple(against))
+        within = partial(_within_image, camera=calibration.camera)
+        return Verdict(accepted=False, findings=tuple(map(within, against)))
     metrics, days = calibration.metrics, len(calibration.evidence.days)
     found = [
         Finding("fit_rmse", {"n": metrics.n, "days": days, "rmse_px": metrics.rmse_px}),
@@ -167,6 +169,16 @@ def fit_verdict(
     if not tilt_known:
         found += site_assumed(calibration)
     return Verdict(accepted=True, findings=tuple(found))
+
+
+_DISTANCES = frozenset({"rmse_px", "stated_px", "off_px", "scatter_px"})
+
+
+def _within_image(finding: Finding, *, camera: Camera) -> Finding:
+    """Return a finding whose distances are at most the image's diagonal: nothing in an image is farther off."""
+    most = math.hypot(camera.width, camera.height)
+    data = {name: min(float(value), most) if name in _DISTANCES else value for name, value in finding.data.items()}
+    return replace(finding, data=data)
 
 
 def _against(
