@@ -198,9 +198,9 @@ def run(*command: str | Path) -> str:
     return (done.stdout.strip().splitlines() or [""])[-1]
 
 
-def built_twice(work: Path, version: str) -> tuple[Path, Path]:
-    """Return the package and the wheel of HEAD, each built twice; equal, or there is no release."""
-    kept: list[tuple[Path, Path]] = []
+def built_twice(work: Path, version: str) -> list[Path]:
+    """Return package, wheel and the client's wheel of HEAD, each built twice; equal, or there is no release."""
+    kept: list[list[Path]] = []
     for number in ("first", "second"):
         folder = work / number
         folder.mkdir()
@@ -212,8 +212,9 @@ def built_twice(work: Path, version: str) -> tuple[Path, Path]:
         run("tar", "-x", "-C", source, "-f", archive)
         project = source / "pyproject.toml"
         project.write_text(STATED.sub(f'version = "{version}"', project.read_text("utf-8"), count=1), "utf-8")
-        run(sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", folder, source)
-        kept.append((package, next(folder.glob("*.whl"))))
+        for built in (source, source / "client"):
+            run(sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", folder, built)
+        kept.append([package, *sorted(folder.glob("*.whl"))])
     for first, second in zip(*kept, strict=True):
         require_equal(first, second)
     return kept[0]

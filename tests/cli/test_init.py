@@ -23,11 +23,11 @@ import pvlib
 import pytest
 from tests.fixtures.rtsp_camera import RtspCamera
 
-from sunarc.common.findings import Finding
+from sunarc.common.findings import Finding, FindingError
 from sunarc.common.messages import message_of
 from sunarc.detection.values import Detection
 from sunarc.imager.checks import CheckResult, question_of, run_checks
-from sunarc.imager.commands.first_look import RefusedAnswerError, TriedPicture, judge_site, parse_angle
+from sunarc.imager.commands.first_look import TriedPicture, judge_site, parse_angle
 from sunarc.imager.runtime.clock import SystemClock
 from sunarc.imager.settings.load import load_settings
 from sunarc.lab.simulation.made_archive import encoded, photograph
@@ -303,7 +303,7 @@ def test_a_missing_setting_says_that_init_asks_for_it(sunarc: Sunarc, tmp_path: 
 )
 def test_angles_are_read_as_they_are_written(text: str, degrees: float | None) -> None:
     if degrees is None:
-        with pytest.raises(RefusedAnswerError):
+        with pytest.raises(FindingError):
             parse_angle(text, question="--longitude", axis="EW")
     else:
         assert parse_angle(text, question="--longitude", axis="EW") == degrees

@@ -24,7 +24,7 @@ from sunarc.detection.disc.detect import detect_sun
 from sunarc.detection.disc.series import combine
 from sunarc.detection.exposure_stack import detect_sun_in_stack
 from sunarc.detection.moon import MoonExpectation, detect_moon
-from sunarc.detection.photo.ordinary_image import Lens, Photo, detect_sun_in_photo
+from sunarc.detection.photo.ordinary_image import Photo, detect_sun_in_photo
 from sunarc.detection.photo.urquhart2016 import locate, planes_of
 from sunarc.detection.stars.detect import detect_stars
 from sunarc.detection.stars.matching import match_stars, share_where_clear
@@ -42,7 +42,7 @@ _STRETCH = equisolid_stretch()
 def _detection(found: Detection) -> Answer:
     names = ("sigma_px", "peak_fraction", "background_fraction", "radius_px", "ellipticity", "residual_chi2", "snr")
     answer = said(found.findings)
-    numbers: list[object] = [getattr(found, name) for name in (*names, "spread_px", "radial_bias_px")]
+    numbers: list[object] = [getattr(found, name) for name in (*names, "spread_px")]
     return {
         "codes": [found.verdict, found.method, found.accepted, found.saturated_px, *answer["codes"]],
         "places": [found.x_px, found.y_px],
@@ -75,11 +75,11 @@ def _moon(moon: moon_rendering.Moon) -> Detection:
     return detect_moon(moon_rendering.render(moon, seed=4), place, sensor=sensor)
 
 
-def _photo(scene: Photograph, *, predicted: bool = False, lens: Lens | None = None) -> Detection:
+def _photo(scene: Photograph, *, predicted: bool = False) -> Detection:
     x, y = scene.sun_px
     place = Expectation(x_px=x + 1.5, y_px=y - 1.0, uncertainty_px=2.0) if predicted else None
     picture = photograph(scene, np.random.default_rng(5))
-    return detect_sun_in_photo(Photo(picture, 255, exposure_us=100.0), expectation=place, lens=lens)
+    return detect_sun_in_photo(Photo(picture, 255, exposure_us=100.0), expectation=place)
 
 
 def _stack(what: Series) -> Detection:
@@ -207,7 +207,6 @@ def _moons_in_a_sweep() -> Answer:
     return _every(found)
 
 
-_LENS = Lens(axis_px=(239.5, 239.5), radius_px=lambda angle: 146.7 * np.asarray(angle))
 _EDGE = np.array([0.6, 0.8, 0.1, 0.3, 0.2])
 _ANSWERS: dict[str, Callable[[], Detection | Answer]] = {
     "disc": lambda: _disc(Scene(peak=0.6), predicted=False),
@@ -219,7 +218,7 @@ _ANSWERS: dict[str, Callable[[], Detection | Answer]] = {
     "moon": lambda: _moon(moon_rendering.Moon(phase_deg=40.0, halo=0.1)),
     "moon_of_a_mosaic": lambda: _moon(moon_rendering.Moon(phase_deg=100.0, bayer="GBRG")),
     "moon_behind_cloud": lambda: _moon(moon_rendering.Moon(phase_deg=70.0, cloud=0.6)),
-    "photo": lambda: _photo(Photograph(size=480), lens=_LENS),
+    "photo": lambda: _photo(Photograph(size=480)),
     "photo_predicted": lambda: _photo(Photograph(size=480, streaks=4, smear=0.2), predicted=True),
     "photo_cloudy": lambda: _photo(Photograph(size=480, bright_cloud=True, thin_cloud=1.0), predicted=True),
     "stack": lambda: _stack(Series(sun=(190.3, 140.6), size=(320, 240))),

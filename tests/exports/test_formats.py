@@ -11,8 +11,9 @@ import pytest
 from tests.exports.conftest import LENS, document_of
 
 from sunarc.client.imager import Imager
+from sunarc.common.findings import FindingError
 from sunarc.formats import formats
-from sunarc.formats.formats import FORMATS, SERVED, FormatError, export, read_view
+from sunarc.formats.formats import FORMATS, SERVED, export, read_view
 from sunarc.formats.tables import MAP_FORMATS
 
 SMALL = replace(LENS, width=330, height=300, focal_length_px=(112.0, 112.3), principal_point_px=(164.2, 150.9))
@@ -41,10 +42,10 @@ def test_the_file_is_called_as_the_table_says(name: str) -> None:
 
 
 def test_an_unknown_format_is_an_error_with_its_code() -> None:
-    with pytest.raises(FormatError) as refused:
+    with pytest.raises(FindingError) as refused:
         export(document_of(SMALL), "kalibr")
     assert (refused.value.finding.code, refused.value.finding.data["format"]) == ("format_unknown", "kalibr")
-    with pytest.raises(FormatError) as refused:
+    with pytest.raises(FindingError) as refused:
         read_view(b"\x00\x01", name="file")
     assert refused.value.finding.code == "file_format_unknown"
 
@@ -54,9 +55,9 @@ def test_a_format_without_a_reader_is_an_error_with_its_code(name: str, monkeypa
     content = export(document_of(SMALL), name).content
     table: dict[str, Any] = {**FORMATS, name: replace(FORMATS[name], read=None)}
     monkeypatch.setattr(formats, "FORMATS", table)
-    with pytest.raises(FormatError) as refused:
+    with pytest.raises(FindingError) as refused:
         read_view(content, name="file")
     assert refused.value.finding.code == "format_without_reader"
     if FORMATS[name].media_type is None:  # the error of such a file is that of the file, read back
-        with pytest.raises(FormatError):
+        with pytest.raises(FindingError):
             export(document_of(SMALL), name)

@@ -12,7 +12,8 @@ import pytest
 from PIL import Image
 
 from sunarc.common.array_types import Image as Pixels
-from sunarc.sources.image_files import RefusedImageError, checked_image, content_of, image_size
+from sunarc.common.findings import FindingError
+from sunarc.sources.image_files import checked_image, content_of, image_size
 from sunarc.sources.sources import Folder
 
 ROWS, COLUMNS = 48, 64
@@ -27,7 +28,7 @@ def read_checked_image(path: Path, *, size: tuple[int, int] | None = None) -> Pi
 
 
 def code_of(path: Path, **more: Any) -> str:  # noqa: ANN401 - as the function's
-    with pytest.raises(RefusedImageError) as refused:
+    with pytest.raises(FindingError) as refused:
         read_checked_image(path, **more)
     return refused.value.finding.code
 
@@ -132,7 +133,7 @@ def test_an_image_that_readers_would_rotate_or_mirror_is_refused(tmp_path: Path,
     exif[ORIENTATION] = orientation
     path = tmp_path / f"a{suffix}"
     Image.fromarray(GREY).save(path, exif=exif)
-    with pytest.raises(RefusedImageError) as refused:
+    with pytest.raises(FindingError) as refused:
         read_checked_image(path)
     assert (refused.value.finding.code, refused.value.finding.data) == ("file_rotated", {"orientation": orientation})
 
@@ -146,7 +147,7 @@ def test_an_upright_image_that_says_so_is_read(tmp_path: Path) -> None:
 
 def test_another_size_is_refused_with_both_sizes(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "a.png"), GREY)
-    with pytest.raises(RefusedImageError) as refused:
+    with pytest.raises(FindingError) as refused:
         read_checked_image(tmp_path / "a.png", size=(COLUMNS + 1, ROWS))
     assert refused.value.finding.data == {
         "width": COLUMNS, "height": ROWS, "camera_width": COLUMNS + 1, "camera_height": ROWS

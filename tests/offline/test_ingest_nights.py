@@ -16,6 +16,7 @@ from tests.fixtures.command_line import Sunarc
 from tests.offline.test_ingest_times import taken
 from tests.offline.test_star_files import CAMERA, SIZE, night_image
 
+from sunarc.common.findings import FindingError
 from sunarc.formats.calibration_document import to_document
 from sunarc.imager.archive.archive import open_archive
 from sunarc.imager.archive.database.schema import upgrade
@@ -24,7 +25,6 @@ from sunarc.imager.archive.values import CameraRecord, SunPointColumns
 from sunarc.imager.workers.night.images import night_picture, store_picture
 from sunarc.optics.forward import project
 from sunarc.sky.night import body_directions
-from sunarc.sources.image_files import RefusedImageError
 
 NIGHT = ("20260313T060000Z", "20260313T064000Z", "20260313T072000Z")
 
@@ -147,7 +147,7 @@ def test_the_picture_that_the_service_keeps_of_a_night_is_no_image_to_look_at(tm
     ((_, path),) = store.between(kind="night.jpg", limit=1)
     assert cv2.imread(str(path)) is not None
     for code in ("file_sidecar", "file_preview"):  # with the names of its stars beside it, and without
-        with pytest.raises(RefusedImageError) as refused:
+        with pytest.raises(FindingError) as refused:
             taken(path)
         assert refused.value.finding.code == code
         path.with_suffix(".json").unlink(missing_ok=True)

@@ -15,7 +15,7 @@ from tests.fixtures.settings import new_settings
 from sunarc.archives.ingest import IngestOptions, ingest_folder
 from sunarc.archives.ingest_summary import IngestSummary
 from sunarc.common.errors import InputError
-from sunarc.sources.image_files import RefusedImageError
+from sunarc.common.findings import FindingError
 from sunarc.sources.image_times import TimeRules, UtcOffset, timed_picture
 from sunarc.sources.sources import Folder
 
@@ -48,7 +48,7 @@ def named(folder: Path, name: str, offset: UtcOffset = NO_OFFSET) -> datetime | 
     """Return the time of a picture of which only the name tells one; None where nothing does."""
     try:
         return taken(dark_image(folder / name), None, offset)[0]
-    except RefusedImageError:
+    except FindingError:
         return None
 
 
@@ -95,7 +95,7 @@ def test_a_time_before_the_year_1_after_its_offset_is_none(tmp_path: Path) -> No
 def test_a_pattern_with_a_zone_needs_no_offset(tmp_path: Path) -> None:
     path = dark_image(tmp_path / "2013-05-13 13.30 -0500.png")
     assert taken(path, "%Y-%m-%d %H.%M %z", timedelta(hours=-5)) == (NOON, None)
-    with pytest.raises(RefusedImageError) as refused:
+    with pytest.raises(FindingError) as refused:
         taken(path, "%Y-%m-%d %H.%M %z", timedelta(hours=3))
     assert refused.value.finding.code == "file_zone_contradicts"
 
@@ -145,7 +145,7 @@ def test_a_sidecar_with_a_wrong_exposure_skips_its_image_alone(tmp_path: Path, e
 def test_a_sidecar_that_cannot_be_read_is_refused(tmp_path: Path, text: str) -> None:
     path = dark_image(tmp_path / "20200101T000000Z.png")
     path.with_suffix(".json").write_bytes(text.encode(errors="surrogateescape"))
-    with pytest.raises(RefusedImageError) as refused:
+    with pytest.raises(FindingError) as refused:
         taken(path)
     assert refused.value.finding.code == "file_sidecar"
 

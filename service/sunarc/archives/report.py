@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import json
 from collections.abc import Iterable, Sequence
 from html import escape
 from pathlib import Path
@@ -19,6 +18,7 @@ from sunarc.archives.states import Epoch, State
 from sunarc.common.array_types import FloatArray
 from sunarc.common.errors import disk_errors
 from sunarc.common.findings import Finding
+from sunarc.common.json_text import json_text
 from sunarc.common.robust_statistics import median_of
 from sunarc.common.utc import DAY_S, utc_time
 from sunarc.optics.forward import project
@@ -46,7 +46,7 @@ def write_report(target: Path, summary: Summary, results: Sequence[CameraResult]
     page = report_page(summary, results)
     with disk_errors(target):
         (target / "report.html").write_text(page, encoding="utf-8")
-        (target / "report.json").write_text(json.dumps(summary.report, indent=1, allow_nan=False) + "\n")
+        (target / "report.json").write_text(json_text(summary.report))
 
 
 def report_page(summary: Summary, results: Sequence[CameraResult]) -> str:

@@ -25,6 +25,7 @@ from sunarc.common.errors import InputError, disk_errors
 from sunarc.common.extras import extra_module, is_installed
 from sunarc.common.findings import Finding
 from sunarc.common.foreign_files import is_regular, read_regular
+from sunarc.common.json_text import json_text
 from sunarc.common.utc import DAY_S, rfc3339, utc_time
 from sunarc.detection.values import Expectation
 from sunarc.imager.live.learned_sigma import sigma_of_series
@@ -166,9 +167,9 @@ def write_results(
         stars = [row for one in results for row in _stars(one)]
         _write(target / "stars.csv", _csv(_HEADER, stars))
         _write(target / "failures.csv", _csv(("file", "code", "reason"), _failures(results, indexed)))
-        _write(target / "epochs.json", _json([row for one in results for row in _epochs(one, documents)]))
+        _write(target / "epochs.json", json_text([row for one in results for row in _epochs(one, documents)]).encode())
         for (camera, epoch), document in documents.items():
-            _write(target / "calibrations" / camera / f"{epoch}.json", _json(document))
+            _write(target / "calibrations" / camera / f"{epoch}.json", json_text(document).encode())
         for one in results:
             if one.horizon is not None:
                 _write(target / f"horizon_{one.name}.png", one.horizon.png)
@@ -476,10 +477,6 @@ def _csv(header: Sequence[str], rows: Sequence[Sequence[object]]) -> bytes:
     writer.writerow(header)
     writer.writerows(rows)
     return text.getvalue().encode()
-
-
-def _json(value: object) -> bytes:
-    return (json.dumps(value, indent=1, allow_nan=False) + "\n").encode()
 
 
 def _write(path: Path, content: bytes) -> None:

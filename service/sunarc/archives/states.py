@@ -29,6 +29,7 @@ from sunarc.changes.epoch_changes import EpochCause, noise_of_days
 from sunarc.common.array_types import BoolArray, FloatArray, IntArray, evenly_spread
 from sunarc.common.findings import Finding
 from sunarc.common.robust_statistics import finite, robust_sigma
+from sunarc.common.utc import DAY_S
 from sunarc.optics.forward import project_fast
 from sunarc.optics.pose import rotation_matrix, rotation_vector
 from sunarc.sky.days import solar_days
@@ -59,7 +60,7 @@ _QUARTER_S = 900.0
 _LARGEST_OFFSET_S = 14.0 * 3600.0
 _FINEST_S = 1.0
 """Step at which the search for an offset ends: the sun moves by 0.004 degrees."""
-_SUN_RAD_PER_S = 2.0 * math.pi / 86_400.0
+_SUN_RAD_PER_S = 2.0 * math.pi / DAY_S
 _TRIED = 60
 """Sightings by which offsets are compared."""
 _WHOLE_S = 20.0

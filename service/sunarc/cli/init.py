@@ -16,11 +16,11 @@ from rich.markup import escape
 
 from sunarc.cli.options import AsJson, print_json, print_table
 from sunarc.common.errors import InputError, disk_errors
-from sunarc.common.findings import Finding
+from sunarc.common.findings import Finding, FindingError
 from sunarc.common.foreign_files import name_text
 from sunarc.imager.archive.database.state_folder import as_owner
 from sunarc.imager.checks import TriedResult, try_first
-from sunarc.imager.commands.first_look import RefusedAnswerError, parse_angle
+from sunarc.imager.commands.first_look import parse_angle
 from sunarc.imager.settings.file_text import NEW_FILE, Value, read_text, value_in, with_values
 from sunarc.imager.settings.load import settings_of
 
@@ -44,14 +44,14 @@ def _number(option: str) -> Callable[[str], Value]:
         try:
             return float(text.strip().removesuffix("m").replace(",", "."))
         except ValueError:
-            raise RefusedAnswerError(option, Finding("answer_not_number", {"given": text})) from None
+            raise FindingError(option, Finding("answer_not_number", {"given": text})) from None
 
     return read
 
 
 def _source(text: str) -> Value:
     if text not in _SOURCES:
-        raise RefusedAnswerError("--source", Finding("answer_unknown", {"given": text, "choices": ", ".join(_SOURCES)}))
+        raise FindingError("--source", Finding("answer_unknown", {"given": text, "choices": ", ".join(_SOURCES)}))
     return text
 
 
@@ -76,7 +76,7 @@ _WRITING = {"readable": "no", "mirrored": "yes", "unknown": None}
 def _writing(text: str) -> Value | None:
     if text.strip() not in _WRITING:
         given = {"given": text, "choices": ", ".join(_WRITING)}
-        raise RefusedAnswerError("--writing", Finding("answer_unknown", given))
+        raise FindingError("--writing", Finding("answer_unknown", given))
     return _WRITING[text.strip()]
 
 
@@ -203,7 +203,7 @@ def _require_source(kind: str, *, camera: list[str] | None, folder: Path | None,
     fitting = _OF_SOURCE[kind].option
     for option, value in (("--camera", camera), ("--folder", folder), ("--url", url)):
         if value and option != fitting:
-            raise RefusedAnswerError(option, Finding("answer_contradicts", {"source": kind, "option": fitting}))
+            raise FindingError(option, Finding("answer_contradicts", {"source": kind, "option": fitting}))
 
 
 class _Answers:
@@ -238,7 +238,7 @@ class _Answers:
         if not self.ask:
             if question.default is not None:
                 return question.read(question.default)
-            raise RefusedAnswerError(question.setting, Finding("answer_missing", {"option": question.option}))
+            raise FindingError(question.setting, Finding("answer_missing", {"option": question.option}))
         for left in reversed(range(_TRIES)):
             try:
                 return question.read(str(typer.prompt(question.text, default=question.default, err=True)))

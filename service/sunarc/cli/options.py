@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -14,6 +13,7 @@ import typer
 
 from sunarc.cli.owner import act_as_owner
 from sunarc.common.errors import InputError
+from sunarc.common.json_text import json_text
 from sunarc.common.utc import DAY_S
 from sunarc.imager.runtime.clock import SystemClock
 
@@ -118,7 +118,7 @@ _NAME_CHARACTERS = 40  # half of a terminal's usual width
 
 def print_json(value: Any) -> None:  # noqa: ANN401 - whatever JSON holds
     """Print a value as JSON; NaN is a bug."""
-    print(json.dumps(value, indent=1, allow_nan=False))
+    print(json_text(value), end="")
 
 
 def table(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from sunarc.common.errors import InputError
 from sunarc.common.messages import filled, message_of
 
 Data = Mapping[str, float | int | str]
@@ -49,6 +50,21 @@ class Finding:
         """Return the JSON object of the finding; a number that is not finite is null."""
         data = {key: None if _is_undefined(value) else value for key, value in self.data.items()}
         return {"code": self.code, "data": data}
+
+
+class FindingError(InputError):
+    """Input that a finding refuses; its sentence ends with the code.
+
+    Parameters
+    ----------
+    field : the file, its part, or the option that is wrong.
+    finding : why.
+    """
+
+    def __init__(self, field: str, finding: Finding) -> None:
+        super().__init__(field=field, problem=finding.text, remedy=finding.remedy)
+        self.args = (f"{self} [{finding.code}]",)
+        self.finding = finding
 
 
 def uncoded(text: str) -> Finding:

@@ -54,8 +54,6 @@ class Detection:
     saturated_px : number of saturated pixels in the window.
     spread_px : rms distance of the centres from their median: of the circles at the rim's levels, or of the paper's
         estimators where these are asked for (`paper`), None else.
-    radial_bias_px : expected bias of the saturated blob's centre along the radius, negative towards the axis; not
-        subtracted (`paper` with a lens given), None else.
     exposure_us : exposure time, as the caller gave it.
     """
 
@@ -74,7 +72,6 @@ class Detection:
     snr: float | None = None
     saturated_px: int = 0
     spread_px: float | None = None
-    radial_bias_px: float | None = None
     exposure_us: float | None = None
 
     @property

@@ -15,7 +15,7 @@ from sunarc.calibration.answers.direction_table import BackProjectionMap, back_p
 from sunarc.calibration.answers.error_model import draw_ensemble
 from sunarc.calibration.model.result import Calibration
 from sunarc.common.errors import InputError
-from sunarc.common.findings import Finding
+from sunarc.common.findings import Finding, FindingError
 from sunarc.formats import fisheye, pixel_maps
 from sunarc.formats.asi_core import asi_core_file, read_asi_core
 from sunarc.formats.calibration_document import from_document
@@ -71,20 +71,6 @@ class Format:
     media_type: str | None = None
 
 
-class FormatError(InputError):
-    """A format that is unknown, or cannot be read.
-
-    Parameters
-    ----------
-    field : what names it, or the file.
-    finding : why.
-    """
-
-    def __init__(self, field: str, finding: Finding) -> None:
-        super().__init__(field=field, problem=finding.text, remedy=finding.remedy)
-        self.finding = finding
-
-
 def export(document: Document, form: str) -> Exported:
     """Return a calibration document in another format.
 
@@ -97,9 +83,9 @@ def export(document: Document, form: str) -> Exported:
 
 
 def format_of(name: str, *, field: str = "format") -> Format:
-    """Return a format by its name; FormatError where it is unknown."""
+    """Return a format by its name; FindingError where it is unknown."""
     if name not in FORMATS:
-        raise FormatError(field, Finding("format_unknown", {"format": name, "known": ", ".join(FORMATS)}))
+        raise FindingError(field, Finding("format_unknown", {"format": name, "known": ", ".join(FORMATS)}))
     return FORMATS[name]
 
 
@@ -132,7 +118,7 @@ def _format_of_content(content: bytes) -> Format:
 
 def _reader(form: Format, field: str) -> Read:
     if form.read is None:
-        raise FormatError(field, Finding("format_without_reader", {"format": form.name}))
+        raise FindingError(field, Finding("format_without_reader", {"format": form.name}))
     return form.read
 
 
@@ -142,8 +128,9 @@ def _read_json(content: bytes, /, *, name: str, beside: Beside) -> View:
         document = json.loads(content)
     except (ValueError, RecursionError):
         known = ", ".join(one.name for one in FORMATS.values() if one.read is not None)
-        raise FormatError(name, Finding("file_format_unknown", {"known": known})) from None
-    return calibration_view(from_document(document))
+        raise FindingError(name, Finding("file_format_unknown", {"known": known})) from None
+    calibration = from_document(document)
+    return replace(calibration_view(calibration), document=document, calibration=calibration)
 
 
 def calibration_view(calibration: Calibration) -> View:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from sunarc.calibration.answers.covariance import hemisphere
+from sunarc.calibration.model.result import Calibration
 from sunarc.common.array_types import FloatArray, IntArray
 from sunarc.common.errors import InputError
 from sunarc.optics.camera import Camera, Param, camera_sees
@@ -40,6 +42,7 @@ class View:
     project : (n, 3) unit vectors, east-north-up, to (n, 2) pixels; NaN where the file has none.
     unproject : (n, 2) pixels to (n, 3) unit vectors; NaN where the file has none.
     camera : the model itself, where the file is a calibration document.
+    document, calibration : that document, and the calibration that it holds.
     has_pose : whether the file says how the camera stands; without, its frame (x right, y down, z out of the lens) is
         taken for east-north-up.
     sigma_limit_deg : of a provisional calibration, the 1-sigma up to which it answers.
@@ -51,6 +54,8 @@ class View:
     project: Convert
     unproject: Convert
     camera: Camera | None = None
+    document: dict[str, Any] | None = None
+    calibration: Calibration | None = None
     has_pose: bool = True
     sigma_limit_deg: float | None = None
 
@@ -74,6 +79,8 @@ def rotated(view: View, rotation: FloatArray) -> View:
         project=lambda directions: view.project(directions @ rotation),
         unproject=lambda pixels: view.unproject(pixels) @ rotation.T,
         camera=None,
+        document=None,
+        calibration=None,
     )
 
 

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 
+from sunarc.common.utc import DAY_S
 from sunarc.hub.nightly_store import CrossCheck, CrossChecks
 from sunarc.imager.archive.feed_rows import FleetCamera
 from sunarc.imager.runtime.json_fields import Returned, described
@@ -176,8 +177,8 @@ def _day_with_sun(latitude: float, longitude: float, hour: int) -> date | None:
     site = Site(latitude=latitude, longitude=longitude)
     until_s = hour * _HOUR_S - _SOONEST_S
     hours = until_s - _HOUR_S * np.arange(48.0)
-    noon_s = until_s - (until_s + longitude * 240.0 - 43_200.0) % 86_400.0
-    for times in (hours, noon_s - 86_400.0 * np.arange(float(_LONGEST_NIGHT_DAYS))):
+    noon_s = until_s - (until_s + longitude * 240.0 - 43_200.0) % DAY_S
+    for times in (hours, noon_s - DAY_S * np.arange(float(_LONGEST_NIGHT_DAYS))):
         up = np.flatnonzero(sun_directions(times, site)[:, 2] > _SUN_UP)
         if up.size:
             return solar_date(float(times[up[0]]), longitude=longitude)

@@ -20,6 +20,7 @@ from sunarc.calibration.quality.widening import with_clock
 from sunarc.calibration.stated_prior import PriorTolerances
 from sunarc.common.errors import InputError
 from sunarc.common.extras import extra_module
+from sunarc.common.json_text import json_text
 from sunarc.formats.calibration_document import from_document
 from sunarc.formats.csv_files import read_sightings
 from sunarc.formats.lens_prior import lens_type_to_json
@@ -31,8 +32,7 @@ from sunarc.sources.files import read_file, read_image, read_lines, require_insi
 
 def write_lens_prior(path: Path, lens: LensType) -> None:
     """Write a lens prior file."""
-    content = lens_type_to_json(lens, software_version=sunarc.__version__)
-    path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    path.write_text(json_text(lens_type_to_json(lens, software_version=sunarc.__version__)), encoding="utf-8")
 
 
 def combined_lens(documents: Sequence[dict[str, Any]], files: Sequence[Path], *, spread: UnitSpread | None) -> LensType:
@@ -126,10 +126,10 @@ def read_points(path: Path, site: Site) -> Sightings:
 
 def read_start(path: Path) -> StatedStart:
     """Return the camera of a file of any format that is read."""
-    from sunarc.public.calibration_files import read_calibration, read_view_file  # noqa: PLC0415 - readers of all formats
+    from sunarc.public.calibration_files import read_view_file  # noqa: PLC0415 - the readers of all formats
 
     view = read_view_file(path)
-    return StatedStart(path.name, view, None if view.camera is None else read_calibration(path))
+    return StatedStart(path.name, view, view.calibration)
 
 
 def image_circle_of(text: str) -> ImageCircle:
@@ -194,7 +194,7 @@ def calibrate_joint(path: Path, *, folder: Path, now: datetime) -> list[dict[str
             stated, entry.points.unix_s, created_at=now, camera=entry.camera, pose_epoch=entry.epoch
         )
         name = "-".join(filter(None, (entry.camera, entry.epoch)))
-        (folder / f"{name}.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        (folder / f"{name}.json").write_text(json_text(document), encoding="utf-8")
         documents.append(document)
     if joint.lens is not None:
         write_lens_prior(folder / LENS_FILE, joint.lens)

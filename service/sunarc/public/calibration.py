@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import json
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -18,7 +17,7 @@ from sunarc.calibration.model.result import Calibration as Solved
 from sunarc.common.array_types import FloatArray
 from sunarc.common.errors import InputError, disk_errors
 from sunarc.common.extras import extra_module
-from sunarc.formats.calibration_document import from_document
+from sunarc.common.json_text import json_text
 from sunarc.formats.exported import Table
 from sunarc.formats.tables import calibration_table, map_table
 from sunarc.formats.view import Comparison, View
@@ -40,7 +39,6 @@ from sunarc.public.values import (
 )
 from sunarc.sky.directions import angles_from_direction, direction_from_angles, unit_vectors
 from sunarc.sky.sun import sun_directions
-from sunarc.sources.files import read_file
 
 if TYPE_CHECKING:
     import xarray
@@ -380,7 +378,7 @@ class Calibration:
         """
         document, path = self._require_document("a document to save"), Path(path)
         with disk_errors(path):
-            path.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+            path.write_text(json_text(document), encoding="utf-8")
 
     def export(self, format: str, path: StrPath, *, accept_refused: bool = False) -> str:  # noqa: A002 - its name
         """Write the calibration in another format, as `sunarc export` does; return how far the format is from it.
@@ -529,10 +527,9 @@ def load(path: StrPath) -> Calibration:
     """
     path = Path(path)
     view = read_view_file(path)
-    if view.camera is None:
-        return Calibration(view, name=path.name)
-    document = json.loads(read_file(path))
-    return Calibration(view, document=document, solved=from_document(document), name=str(document["camera"]))
+    document = view.document
+    name = path.name if document is None else str(document["camera"])
+    return Calibration(view, document=document, solved=view.calibration, name=name)
 
 
 def compare(first: Calibration | StrPath, second: Calibration | StrPath) -> Comparison:

@@ -18,7 +18,7 @@ from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.selection import MOST_STARS, image_parts, sky_parts, surest_of_parts
 from sunarc.common.array_types import FloatArray, Image, IntArray, evenly_spread
 from sunarc.common.errors import InputError
-from sunarc.common.findings import Finding, joined
+from sunarc.common.findings import Finding, FindingError, joined
 from sunarc.common.foreign_files import is_regular, name_text
 from sunarc.common.utc import DAY_S, rfc3339, utc_time
 from sunarc.detection.stars.detect import detect_stars
@@ -32,7 +32,7 @@ from sunarc.sky.night import FAINTEST_V, NightSky, night_sky
 from sunarc.sky.site import Site
 from sunarc.sources.detect_files import estimated_full_scale
 from sunarc.sources.files import read_file, read_image
-from sunarc.sources.image_files import RefusedImageError, fits_bayer, fits_frame, fits_image, fits_site, kind_of
+from sunarc.sources.image_files import fits_bayer, fits_frame, fits_image, fits_site, kind_of
 from sunarc.sources.image_times import ASSUMED_UTC, TimeRules, timed_picture
 from sunarc.sources.sources import Folder
 from sunarc.stars.blind_start import BlindOptions, BlindStart, NightDetections, blind_start, with_clock_error
@@ -219,7 +219,7 @@ def read_stars(path: Path, site: Site, options: StarOptions, *, size: tuple[int,
     """
     try:
         time, image, bayer = _read(path, options)
-    except RefusedImageError as refused:
+    except FindingError as refused:
         return StarImage(file=name_text(path), reason=refused.finding.text, findings=(refused.finding,))
     except InputError as error:
         unreadable = Finding("file_unreadable", {"error": str(error)})
@@ -284,10 +284,10 @@ def _read(path: Path, options: StarOptions) -> tuple[datetime, Image, Bayer | No
         return frame.time if frame.exposure_us is not None else frame.time + to_middle, image, bayer
     try:
         stated = _stated_time(path, options.rules)
-    except RefusedImageError as refused:
+    except FindingError as refused:
         if refused.finding.code != "file_time_unknown":
             raise
-        raise RefusedImageError(path.name, Finding("file_time_header")) from None
+        raise FindingError(path.name, Finding("file_time_header")) from None
     return stated + to_middle, image, bayer
 
 

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.common.array_types import FloatArray
+from sunarc.common.utc import DAY_S
 
 SECONDS_PER_JULIAN_YEAR = 31_557_600.0
 _JULIAN_DAY_1970 = 2_440_587.5
@@ -82,8 +83,8 @@ def _slow_columns(unix_s: FloatArray, delta_t_s: float) -> FloatArray:
 
 def by_series(unix_s: FloatArray, delta_t_s: float) -> Geocentric:
     """Return the geocentric sun by the series, term by term (equations 4 to 31)."""
-    day = unix_s / 86_400.0 + _JULIAN_DAY_1970
-    century = (day + delta_t_s / 86_400.0 - 2_451_545.0) / 36_525.0
+    day = unix_s / DAY_S + _JULIAN_DAY_1970
+    century = (day + delta_t_s / DAY_S - 2_451_545.0) / 36_525.0
     millennium = century / 10.0
     distance = _powers(_DISTANCE, millennium)
     longitude_nutation, obliquity_nutation = _nutation(century)
@@ -104,7 +105,7 @@ def by_series(unix_s: FloatArray, delta_t_s: float) -> Geocentric:
 
 def _mean_sidereal(unix_s: FloatArray) -> FloatArray:
     """Return the mean sidereal time at Greenwich in degrees (equation 28)."""
-    day = unix_s / 86_400.0 + _JULIAN_DAY_1970
+    day = unix_s / DAY_S + _JULIAN_DAY_1970
     century = (day - 2_451_545.0) / 36_525.0
     turned = 280.46061837 + 360.98564736629 * (day - 2_451_545.0)
     return np.asarray((turned + 0.000387933 * century**2 - century**3 / 38_710_000.0) % 360.0)

@@ -20,6 +20,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 
 from sunarc.common.array_types import BoolArray, FloatArray, IntArray, NameArray, picked
+from sunarc.common.utc import DAY_S
 from sunarc.sky.directions import angles_from_direction, direction_from_angles
 from sunarc.sky.refraction import apparent_elevation
 from sunarc.sky.site import Site
@@ -36,7 +37,6 @@ _EPOCH_YEAR = 2024.0
 _J2000_UNIX_S = 946_728_000.0
 _UNIX_S_OF_EPHEM = -2_209_032_000.0
 """ephem counts days from 1899-12-31 12:00 UTC."""
-_DAY_S = 86_400.0
 _SIDEREAL_DAY_S = 86_164.0905
 _LAST_LEAP_SECOND_UNIX_S = 1_483_228_800.0
 """The start of 2017."""
@@ -132,7 +132,7 @@ def star_directions(stars: StarTable, unix_s: float, site: Site) -> FloatArray:
     """
     ephem = _ephem()
     observer = _observer(unix_s, site)
-    years = 2000.0 + (unix_s - _J2000_UNIX_S) / _DAY_S / 365.25 - _EPOCH_YEAR
+    years = 2000.0 + (unix_s - _J2000_UNIX_S) / DAY_S / 365.25 - _EPOCH_YEAR
     moved = stars.motion * years
     right = stars.right_ascension + moved[:, 0] / np.cos(stars.declination)
     angles = np.empty((right.size, 2))
@@ -255,7 +255,7 @@ def _ephem() -> Any:  # noqa: ANN401 - a module
 
 def _observer(unix_s: float, site: Site) -> Any:  # noqa: ANN401 - ephem is not typed
     ephem = _ephem()
-    date = (unix_s - _UNIX_S_OF_EPHEM) / _DAY_S
+    date = (unix_s - _UNIX_S_OF_EPHEM) / DAY_S
     # ephem's terrestrial time is an old forecast, 5 s ahead in 2026 and 37 s in 2050, in which the moon moves by 20
     # arcseconds: the moment is shifted by as much, and the place turned back, so that the sidereal time stays
     late_s = _TT_MINUS_UTC_S - ephem.delta_t(date) if unix_s > _LAST_LEAP_SECOND_UNIX_S else 0.0
@@ -264,7 +264,7 @@ def _observer(unix_s: float, site: Site) -> Any:  # noqa: ANN401 - ephem is not 
     observer.lon = math.radians(site.longitude) - 2.0 * math.pi * late_s / _SIDEREAL_DAY_S
     observer.elevation = site.altitude
     observer.pressure = 0.0  # the refraction is the sun's own
-    observer.date = date + late_s / _DAY_S
+    observer.date = date + late_s / DAY_S
     return observer
 
 

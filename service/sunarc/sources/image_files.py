@@ -23,9 +23,9 @@ from PIL import Image as Pictures
 from sunarc.common.array_types import Image
 from sunarc.common.errors import InputError
 from sunarc.common.extras import extra_module
-from sunarc.common.findings import Finding
+from sunarc.common.findings import Finding, FindingError
 from sunarc.common.foreign_files import UnfitFileError, open_regular, read_regular
-from sunarc.common.utc import EPOCH, parse_time
+from sunarc.common.utc import DAY_S, EPOCH, parse_time
 from sunarc.detection.values import BAYERS, Bayer
 from sunarc.imaging.metadata import document_of
 from sunarc.imaging.preview import decoded
@@ -67,20 +67,6 @@ class ImageSource(Protocol):
         """Return where a file is on this disk; None where it is within another file, or elsewhere."""
 
 
-class RefusedImageError(InputError):
-    """An image that is left out.
-
-    Parameters
-    ----------
-    name : the file, or its part that is wrong.
-    finding : why.
-    """
-
-    def __init__(self, name: str, finding: Finding) -> None:
-        super().__init__(field=name, problem=finding.text, remedy=finding.remedy)
-        self.finding = finding
-
-
 _FORMATS = ("JPEG", "PNG", "TIFF", "JPEG2000")  # a JPEG of several images (MPO) opens as JPEG
 _ONE_IMAGE = ("JPEG", "MPO")  # further images of an MPO are previews
 _UPRIGHT = 1
@@ -97,11 +83,11 @@ def checked_image(encoded: bytes, name: str, *, size: tuple[int, int] | None = N
 
     Raises
     ------
-    RefusedImageError : it is truncated, animated, transparent, for print, to be rotated, of another size, or no image.
+    FindingError : it is truncated, animated, transparent, for print, to be rotated, of another size, or no image.
     """
     fault = _header_fault(encoded, size)
     if fault is not None:
-        raise RefusedImageError(name, fault)
+        raise FindingError(name, fault)
     image = decoded(encoded)
     if image is not None and image.dtype == np.uint8:
         return _opaque(image.astype(np.uint8, copy=False), name)
@@ -110,16 +96,16 @@ def checked_image(encoded: bytes, name: str, *, size: tuple[int, int] | None = N
     raise _unreadable(name, "no image of 8 or 16 bits")
 
 
-def _unreadable(name: str, error: str) -> RefusedImageError:
-    return RefusedImageError(name, Finding("file_not_image", {"error": error}))
+def _unreadable(name: str, error: str) -> FindingError:
+    return FindingError(name, Finding("file_not_image", {"error": error}))
 
 
-def _not_read(name: str, error: OSError) -> RefusedImageError:
+def _not_read(name: str, error: OSError) -> FindingError:
     """Return the refusal of a file that cannot be read: one that is there may be readable later."""
     text = error.strerror or str(error)
     if isinstance(error, FileNotFoundError | NotADirectoryError | UnfitFileError):
         return _unreadable(name, text)
-    return RefusedImageError(name, Finding(NOT_READ, {"error": text}))
+    return FindingError(name, Finding(NOT_READ, {"error": text}))
 
 
 def _opaque(image: Image, name: str) -> Image:
@@ -130,7 +116,7 @@ def _opaque(image: Image, name: str) -> Image:
         raise _unreadable(name, f"{image.shape[2]} channels")
     transparent = float(np.mean(image[..., 3] < np.iinfo(image.dtype).max))
     if transparent > 0.0:
-        raise RefusedImageError(name, Finding("file_transparent", {"share": transparent}))
+        raise FindingError(name, Finding("file_transparent", {"share": transparent}))
     return image[..., :3]
 
 
@@ -231,7 +217,7 @@ def frames_in(source: ImageSource, name: str, *, sidecar: Callable[[], bytes | N
 
     Raises
     ------
-    RefusedImageError : it cannot be read, or does not state when its images were taken.
+    FindingError : it cannot be read, or does not state when its images were taken.
     """
     kind = kind_of(name)
     if kind == "fits":
@@ -256,7 +242,7 @@ def images_in(
     """
     try:
         yield from _images(source, name, numbers, size)
-    except RefusedImageError as error:
+    except FindingError as error:
         yield from ((number, error.finding) for number in numbers)
     except InputError as error:  # an extra is missing
         unread = Finding("file_not_image", {"error": f"{error.problem}; {error.remedy}"})
@@ -276,7 +262,7 @@ def _images(
     else:
         content = content_of(source, name)
         if (document_of(content[:_HEAD_BYTES]) or {}).get("preview"):
-            raise RefusedImageError(name, Finding("file_preview"))
+            raise FindingError(name, Finding("file_preview"))
         yield numbers[0], checked_image(content, name, size=size)
 
 
@@ -301,7 +287,7 @@ def image_size(source: ImageSource, name: str, number: int = 0) -> tuple[int, in
 
 
 def content_of(source: ImageSource, name: str) -> bytes:
-    """Return a file's content; RefusedImageError where it cannot be read."""
+    """Return a file's content; FindingError where it cannot be read."""
     try:
         return source.read(name)
     except OSError as error:
@@ -318,7 +304,7 @@ def document_in(source: ImageSource, name: str) -> Mapping[str, Any]:
 
     Raises
     ------
-    RefusedImageError : it is the preview of a composite, or cannot be read.
+    FindingError : it is the preview of a composite, or cannot be read.
     """
     try:
         with _opened(source, name) as file:
@@ -326,7 +312,7 @@ def document_in(source: ImageSource, name: str) -> Mapping[str, Any]:
     except OSError as error:
         raise _not_read(name, error) from None
     if document.get("preview"):
-        raise RefusedImageError(name, Finding("file_preview"))
+        raise FindingError(name, Finding("file_preview"))
     return document
 
 
@@ -335,12 +321,12 @@ def require_size(shape: tuple[int, ...], name: str, size: tuple[int, int] | None
 
     Raises
     ------
-    RefusedImageError : it has.
+    FindingError : it has.
     """
     height, width = shape[:2]
     if size is not None and (width, height) != size:
         sizes = {"width": width, "height": height, "camera_width": size[0], "camera_height": size[1]}
-        raise RefusedImageError(name, Finding("file_size_differs", sizes))
+        raise FindingError(name, Finding("file_size_differs", sizes))
 
 
 _EXPOSURES = ("EXPTIME", "EXPOSURE")
@@ -389,7 +375,7 @@ def fits_image(content: bytes, name: str, *, size: tuple[int, int] | None) -> Im
 
     Raises
     ------
-    RefusedImageError : it has none of 8 or 16 bits, or of another size.
+    FindingError : it has none of 8 or 16 bits, or of another size.
     """
     images = [hdu for hdu in _fits_units(content, name) if len(hdu.shape) in {2, 3}]
     images.sort(key=lambda hdu: hdu.name != _MEAN)
@@ -402,7 +388,7 @@ def fits_image(content: bytes, name: str, *, size: tuple[int, int] | None) -> Im
     require_size(shape[1:] if planes else shape, name, size)
     place = images[0].fileinfo()
     if place["datLoc"] + min(images[0].size, place["datSpan"]) > len(content):  # tiles are shorter than their image
-        raise RefusedImageError(name, Finding("file_truncated"))
+        raise FindingError(name, Finding("file_truncated"))
     with _refusing(name, "its pixels cannot be read"):
         data = np.asarray(images[0].data)
     if data.dtype.newbyteorder("=") == np.dtype(np.int16) and data.size and data.min() >= 0:
@@ -485,7 +471,7 @@ def _number(value: object) -> float:
 _UNITS = re.compile(
     r"^(\w+) since (\d{4}-\d{1,2}-\d{1,2})[T ]?(\d{1,2}:\d{2}(?::\d{2}(?:\.\d+)?)?)?\s*(Z|UTC|[+-]0?0:?00|0:00)?$"
 )
-_SECONDS = {"days": 86_400.0, "hours": 3600.0, "minutes": 60.0, "seconds": 1.0, "milliseconds": 1e-3}
+_SECONDS = {"days": DAY_S, "hours": 3600.0, "minutes": 60.0, "seconds": 1.0, "milliseconds": 1e-3}
 
 
 def netcdf_frames(file: Path | bytes, name: str) -> list[FileImage]:
@@ -493,7 +479,7 @@ def netcdf_frames(file: Path | bytes, name: str) -> list[FileImage]:
 
     Raises
     ------
-    RefusedImageError : it is none, has no images, or no times in UTC.
+    FindingError : it is none, has no images, or no times in UTC.
     """
     with _refusing(name, "no NetCDF-4 file"), _netcdf(file) as opened:
         images = _netcdf_images(opened, name)
@@ -544,13 +530,13 @@ def _netcdf_images(opened: Any, name: str) -> Any:  # noqa: ANN401 - h5netcdf's 
 def _units(units: str, name: str) -> tuple[datetime, float]:
     match = _UNITS.match(units.strip())
     if match is None or match[1] not in _SECONDS:
-        raise RefusedImageError(name, Finding("file_time_units", {"units": units}))
+        raise FindingError(name, Finding("file_time_units", {"units": units}))
     try:
         year, month, day = (int(part) for part in match[2].split("-"))
         clock = f"{match[3] or '00:00:00'}".zfill(5)
         return parse_time(f"{year:04d}-{month:02d}-{day:02d}T{clock}Z", where=name).astimezone(UTC), _SECONDS[match[1]]
     except (InputError, ValueError):
-        raise RefusedImageError(name, Finding("file_time_units", {"units": units})) from None
+        raise FindingError(name, Finding("file_time_units", {"units": units})) from None
 
 
 def _text(value: object) -> str:
@@ -575,20 +561,20 @@ def video_frames(file: Path | bytes, name: str, *, sidecar: bytes | None) -> lis
 
     Raises
     ------
-    RefusedImageError : it is no video, or nothing states when its images were taken.
+    FindingError : it is no video, or nothing states when its images were taken.
     """
     with _video(file, name) as video:
         count = int(video.get(cv2.CAP_PROP_FRAME_COUNT))
         rate = float(video.get(cv2.CAP_PROP_FPS))
     if not 1 <= count <= min(_MOST_FRAMES, len(file) if isinstance(file, bytes) else file.stat().st_size):
-        raise RefusedImageError(name, Finding("file_not_image", {"error": f"no video: it states {count} frames"}))
+        raise FindingError(name, Finding("file_not_image", {"error": f"no video: it states {count} frames"}))
     if sidecar is not None:
         times = _sidecar_times(sidecar, name, count)
     elif rate > 0.0 and 1.0 / rate >= _REAL_TIME_S and (created := _created(file)) is not None:
         with _refusing(name, "no video whose times are known"):
             times = [created + timedelta(seconds=number / rate) for number in range(count)]
     else:
-        raise RefusedImageError(name, Finding("file_video_times", {"frames": count, "frames_per_s": rate}))
+        raise FindingError(name, Finding("file_video_times", {"frames": count, "frames_per_s": rate}))
     return [FileImage(number, time) for number, time in enumerate(times)]
 
 
@@ -616,7 +602,7 @@ def _video(file: Path | bytes, name: str) -> Iterator[cv2.VideoCapture]:
         video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
         try:
             if not video.isOpened():
-                raise RefusedImageError(name, Finding("file_not_image", {"error": "no video that can be decoded"}))
+                raise FindingError(name, Finding("file_not_image", {"error": "no video that can be decoded"}))
             yield video
         finally:
             video.release()
@@ -650,9 +636,9 @@ def _sidecar_times(text: bytes, name: str, count: int) -> list[datetime]:
             times = [start + timedelta(seconds=number * interval_s) for number in range(count)]
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError, InputError):
         error = "no JSON with times_utc, or with start_utc and interval_s"
-        raise RefusedImageError(name, Finding("file_sidecar", {"error": error})) from None
+        raise FindingError(name, Finding("file_sidecar", {"error": error})) from None
     if len(times) != count:
-        raise RefusedImageError(name, Finding("file_sidecar", {"error": f"{len(times)} times for {count} frames"}))
+        raise FindingError(name, Finding("file_sidecar", {"error": f"{len(times)} times for {count} frames"}))
     return times
 
 

@@ -17,12 +17,11 @@ from PIL import ExifTags
 from PIL import Image as Pictures
 
 from sunarc.common.errors import InputError
-from sunarc.common.findings import Finding
+from sunarc.common.findings import Finding, FindingError
 from sunarc.common.utc import parse_time, utc_time
 from sunarc.sources.image_files import (
     FileImage,
     ImageSource,
-    RefusedImageError,
     content_of,
     document_in,
     frames_in,
@@ -47,7 +46,7 @@ def utc_of_local(written: datetime, offset: UtcOffset, *, name: str) -> datetime
 
     Raises
     ------
-    RefusedImageError : the place's clocks showed it twice or never, as they were set at a change of summer time.
+    FindingError : the place's clocks showed it twice or never, as they were set at a change of summer time.
     OverflowError : it is before the year 1 or after 9999.
     """
     if isinstance(offset, timedelta):
@@ -57,7 +56,7 @@ def utc_of_local(written: datetime, offset: UtcOffset, *, name: str) -> datetime
         return first.astimezone(UTC)
     shown = first.astimezone(UTC).astimezone(offset).replace(tzinfo=None) == written
     data = {"written": written.isoformat(timespec="seconds"), "zone": str(offset)}
-    raise RefusedImageError(name, Finding("file_time_twice" if shown else "file_time_never", data))
+    raise FindingError(name, Finding("file_time_twice" if shown else "file_time_never", data))
 
 
 def utc_offset_of(given: str | float, *, field: str) -> UtcOffset:
@@ -89,16 +88,16 @@ def sidecar_time(text: bytes, name: str, exposure_us: float | None) -> tuple[dat
 
     Raises
     ------
-    RefusedImageError : it has no time, or one of its values is none.
+    FindingError : it has no time, or one of its values is none.
     """
     try:
         sidecar: dict[str, Any] = json.loads(text)
         exposure = _exposure(sidecar.get("exposure_us", exposure_us), where=f"{name}, exposure_us")
         return parse_time(str(sidecar["time_utc"]), where=f"{name}, time_utc"), exposure
     except InputError as error:
-        raise RefusedImageError(error.field, Finding("file_sidecar", {"error": error.problem})) from None
+        raise FindingError(error.field, Finding("file_sidecar", {"error": error.problem})) from None
     except (ValueError, KeyError, AttributeError, OverflowError, RecursionError):
-        raise RefusedImageError(name, Finding("file_sidecar", {"error": "no JSON with time_utc"})) from None
+        raise FindingError(name, Finding("file_sidecar", {"error": "no JSON with time_utc"})) from None
 
 
 def _exposure(value: object, *, where: str) -> float | None:
@@ -178,7 +177,7 @@ def timed_frames(source: ImageSource, name: str, rules: TimeRules, *, names: Col
 
     Raises
     ------
-    RefusedImageError : nothing states the time, or nothing states its zone.
+    FindingError : nothing states the time, or nothing states its zone.
     """
     kind, path = kind_of(name), PurePosixPath(name)
     if kind == "picture":
@@ -194,7 +193,7 @@ def _in_range(frame: TimedFrame, name: str) -> TimedFrame:
     if is_of_images(frame.time):
         return frame
     written = frame.time.isoformat(timespec="seconds")
-    raise RefusedImageError(name, Finding("file_time_range", {"written": written}))
+    raise FindingError(name, Finding("file_time_range", {"written": written}))
 
 
 def timed_picture(source: ImageSource, name: str, rules: TimeRules, *, names: Collection[str]) -> TimedFrame:
@@ -232,7 +231,7 @@ def _by_pattern(path: PurePosixPath, rules: TimeRules, prefix: str) -> TimedFram
     try:
         time = datetime.strptime("/".join(path.with_suffix("").parts[-1 - pattern.count("/") :]), pattern)  # noqa: DTZ007 - the zone follows
     except (ValueError, OverflowError):
-        raise RefusedImageError(path.name, Finding("file_time_pattern", {"pattern": pattern})) from None
+        raise FindingError(path.name, Finding("file_time_pattern", {"pattern": pattern})) from None
     if time.tzinfo is not None:
         _require_agreement(time.replace(tzinfo=None), time.utcoffset(), path.name, rules)
     return TimedFrame(0, _in_utc(time, path.name, rules), exposure_of_name(path.name), "pattern", prefix)
@@ -247,7 +246,7 @@ def _of_picture(source: ImageSource, name: str, named: NamedTime | None, rules: 
     if found is not None and (found[0].tzinfo is not None or named is None):
         return TimedFrame(0, _in_utc(found[0], name, rules), exposure_us, found[1], prefix)
     if named is None:
-        raise RefusedImageError(name, no_time_finding(PurePosixPath(name).name))
+        raise FindingError(name, no_time_finding(PurePosixPath(name).name))
     return TimedFrame(0, _utc(named, name, rules), exposure_us, named.family, prefix)
 
 
@@ -257,7 +256,7 @@ def _of_header(frame: FileImage, name: str, named: NamedTime | None, rules: Time
     if frame.time is not None:
         return TimedFrame(frame.number, frame.time, frame.exposure_us, family, prefix)
     if named is None:
-        raise RefusedImageError(name, no_time_finding(PurePosixPath(name).name))
+        raise FindingError(name, no_time_finding(PurePosixPath(name).name))
     return TimedFrame(frame.number, _utc(named, name, rules), frame.exposure_us, named.family, prefix)
 
 
@@ -287,7 +286,7 @@ def _mobotix_time(fields: dict[bytes, str]) -> datetime | None:
 
 
 def _utc(named: NamedTime, name: str, rules: TimeRules) -> datetime:
-    """Return the time that a name states, in UTC; RefusedImageError where nothing states its zone, or two things do."""
+    """Return the time that a name states, in UTC; FindingError where nothing states its zone, or two things do."""
     if named.ahead is None:
         return _in_utc(named.time, name, rules)
     _require_agreement(named.time, named.ahead, name, rules)
@@ -303,7 +302,7 @@ def _require_agreement(written: datetime, ahead: timedelta | None, name: str, ru
     if stated != ahead:
         text, hours = written.isoformat(timespec="seconds"), ahead / timedelta(hours=1)
         finding = Finding("file_zone_contradicts", {"written": text, "hours": hours, "stated": str(rules.offset)})
-        raise RefusedImageError(name, finding)
+        raise FindingError(name, finding)
 
 
 def _in_utc(time: datetime, name: str, rules: TimeRules) -> datetime:
@@ -314,11 +313,11 @@ def _in_utc(time: datetime, name: str, rules: TimeRules) -> datetime:
             return time.astimezone(UTC)
         return utc_of_local(time, rules.offset, name=name)
     except OverflowError:
-        raise RefusedImageError(name, Finding("file_time_unknown")) from None
+        raise FindingError(name, Finding("file_time_unknown")) from None
 
 
-def _unknown_zone(name: str, time: datetime) -> RefusedImageError:
-    return RefusedImageError(name, Finding("file_time_zone", {"written": time.isoformat(timespec="seconds")}))
+def _unknown_zone(name: str, time: datetime) -> FindingError:
+    return FindingError(name, Finding("file_time_zone", {"written": time.isoformat(timespec="seconds")}))
 
 
 def exposure_of_name(name: str) -> float | None:

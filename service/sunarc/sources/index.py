@@ -18,7 +18,7 @@ import numpy as np
 from sunarc.calibration.model.options import CalibrationOptions, Mirrored
 from sunarc.common.array_types import evenly_spread
 from sunarc.common.errors import InputError
-from sunarc.common.findings import Finding
+from sunarc.common.findings import Finding, FindingError
 from sunarc.common.foreign_files import MOST_BYTES, name_path, name_text
 from sunarc.common.utc import DAY_S, rfc3339, to_microseconds
 from sunarc.optics.projections import PROJECTIONS
@@ -27,7 +27,7 @@ from sunarc.sky.site import Site
 from sunarc.sky.sun import DARK_ZENITH_DEG, sun_angles
 from sunarc.sources.detect_files import Method
 from sunarc.sources.files import read_file
-from sunarc.sources.image_files import ImageSource, RefusedImageError, SourceFile, image_size, kind_of
+from sunarc.sources.image_files import ImageSource, SourceFile, image_size, kind_of
 from sunarc.sources.image_key import ImageKey, image_key
 from sunarc.sources.image_times import TimedFrame, TimeRules, timed_frames, utc_offset_of
 from sunarc.sources.sources import hash_of, open_source
@@ -266,14 +266,14 @@ def _found(plan: CameraPlan) -> tuple[list[_Found], list[tuple[str, str, Finding
                 continue
             try:
                 found += list(_timed(source, file, plan, names))
-            except RefusedImageError as error:
+            except FindingError as error:
                 failed.append((address, file.name, error.finding))
     return found, failed
 
 
 def _timed(source: ImageSource, file: SourceFile, plan: CameraPlan, names: set[str]) -> Iterator[_Found]:
     if file.size > MOST_BYTES and kind_of(file.name) in {"picture", "fits"}:
-        raise RefusedImageError(file.name, Finding("file_too_large", {"bytes": file.size, "most": MOST_BYTES}))
+        raise FindingError(file.name, Finding("file_too_large", {"bytes": file.size, "most": MOST_BYTES}))
     for frame in timed_frames(source, file.name, plan.rules, names=names):
         time_us = to_microseconds(frame.time)
         stamp = f"{file.size}-{file.stamp}"

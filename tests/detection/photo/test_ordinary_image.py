@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from tests.detection.photo.suns import glare_image, with_text
-from tests.detection.rendering import FloatArray
 from tests.finding_codes import codes
 
 from sunarc.common.errors import InputError
-from sunarc.detection.photo.ordinary_image import Lens, Photo, detect_sun_in_photo, radial_bias_px
+from sunarc.detection.photo.ordinary_image import Photo, detect_sun_in_photo
 from sunarc.detection.values import Detection, Expectation
 
 
@@ -40,20 +39,6 @@ def test_the_papers_medians_are_the_answer_where_asked_for() -> None:
     assert found.accepted
     assert (found.x_px, found.y_px) == pytest.approx((100.0, 90.0), abs=1.0)
     assert found.spread_px is not None
-
-
-def equidistant(angle: FloatArray) -> FloatArray:
-    return 110.0 * np.asarray(angle)
-
-
-def test_with_a_lens_the_bias_is_reported_and_not_subtracted() -> None:
-    lens = Lens(axis_px=(100.0, 20.0), radius_px=equidistant)
-    plain, biased = found_in(glare_image()), found_in(glare_image(), lens=lens)
-    assert (biased.x_px, biased.y_px) == (plain.x_px, plain.y_px)
-    assert plain.radial_bias_px is None
-    angle = 70.0 / 110.0
-    blob = (plain.radius_px or 0.0) / math.sqrt(110.0 * 70.0 / math.sin(angle))
-    assert biased.radial_bias_px == pytest.approx(radial_bias_px(lens, angle=angle, blob_radius=blob), rel=0.02)
 
 
 @pytest.mark.parametrize(("zenith_deg", "below"), [(89.59, False), (89.61, True)])

@@ -1,4 +1,4 @@
-"""Appendix A of the paper: its five estimators, their literal and their fast path, and the bias they share."""
+"""Appendix A of the paper: its five estimators, their literal and their fast path."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from tests.detection.rendering import FloatArray, Image
 from sunarc.common.errors import InputError
 from sunarc.detection.photo import urquhart2016
 from sunarc.detection.photo import urquhart2016 as centroids
-from sunarc.detection.photo.ordinary_image import Lens, radial_bias_px
 from sunarc.detection.photo.plateau import Blob
 from sunarc.detection.photo.urquhart2016 import (
     Estimates,
@@ -76,35 +75,6 @@ def test_without_smear_there_are_four_columns() -> None:
 
 def equisolid(angle: FloatArray) -> FloatArray:
     return 2 * ALPHA_PX * np.sin(angle / 2)
-
-
-@pytest.mark.parametrize(
-    ("angle_deg", "blob_deg", "bias"),
-    [
-        (50, 2, -0.08),
-        (50, 5, -0.51),
-        (50, 8, -1.3),
-        (50, 10, -2.0),
-        (80, 2, -0.14),
-        (80, 5, -0.87),
-        (80, 8, -2.2),
-        (80, 10, -3.5),
-    ],
-)
-def test_the_blobs_bias_is_the_known_one(angle_deg: float, blob_deg: float, bias: float) -> None:
-    lens = Lens(axis_px=(0.0, 0.0), radius_px=equisolid)
-    found = radial_bias_px(lens, angle=math.radians(angle_deg), blob_radius=math.radians(blob_deg))
-    assert found == pytest.approx(bias, rel=0.04, abs=0.006)
-
-
-def test_a_stereographic_lens_has_another_bias_than_an_equisolid_one() -> None:
-    stereographic = Lens(axis_px=(0.0, 0.0), radius_px=lambda angle: 2 * ALPHA_PX * np.tan(angle / 2))
-    assert radial_bias_px(stereographic, angle=1.0, blob_radius=0.1) > 0.0
-
-
-def test_a_blob_on_the_axis_has_no_bias() -> None:
-    lens = Lens(axis_px=(0.0, 0.0), radius_px=equisolid)
-    assert radial_bias_px(lens, angle=0.0, blob_radius=0.1) == pytest.approx(0.0, abs=1e-9)
 
 
 @pytest.mark.parametrize("shape", [(5, 5, 4), (5,), (0, 5)])

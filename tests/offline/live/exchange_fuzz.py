@@ -24,14 +24,14 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from PIL import Image
 
-from sunarc.common.findings import Finding
+from sunarc.common.findings import Finding, FindingError
 from sunarc.common.foreign_files import name_text
 from sunarc.imager.cameras.options import RtspOptions, SnapshotOptions
 from sunarc.imager.live.rtsp import RtspClient
 from sunarc.imager.live.snapshots import SnapshotClient
 from sunarc.imager.runtime.clock import VirtualClock
 from sunarc.sky.days import solar_date
-from sunarc.sources.image_files import RefusedImageError, kind_of
+from sunarc.sources.image_files import kind_of
 from sunarc.sources.image_times import TimeRules, timed_frames
 from sunarc.sources.sources import Folder
 
@@ -224,7 +224,7 @@ def read_names(count: int, seed: int) -> Counter[str]:
             path.write_bytes(_dated(draw))
             try:
                 frame = timed_frames(source, name_text(given), draw.choice(rules), names=set())[0]
-            except RefusedImageError as error:
+            except FindingError as error:
                 codes[_code(error.finding)] += 1
             else:
                 solar_date(frame.time.timestamp(), longitude=180.0)

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from tests.offline.sources.archives import DEEP, GREY, encoded, folder_of, zip_of
 
 from sunarc.common.array_types import Image
-from sunarc.common.findings import Finding
-from sunarc.sources.image_files import RefusedImageError, fits_bayer, frames_in, images_in
+from sunarc.common.findings import Finding, FindingError
+from sunarc.sources.image_files import fits_bayer, frames_in, images_in
 from sunarc.sources.sources import open_source
 
 SIZE = (24, 20)
@@ -192,7 +192,7 @@ def test_colours_of_a_netcdf_file_are_red_green_blue(tmp_path: Path) -> None:
 def test_netcdf_times_that_mean_nothing_are_refused(units: str, tmp_path: Path) -> None:
     content = netcdf_of(tmp_path / "made.nc", GREY[None], units)
     source = open_source(str(folder_of({"a.nc": content}, tmp_path / "b")))
-    with pytest.raises(RefusedImageError) as refused:
+    with pytest.raises(FindingError) as refused:
         frames_in(source, "a.nc", sidecar=lambda: None)
     assert refused.value.finding.code == "file_time_units"
 
@@ -242,7 +242,7 @@ def test_the_frame_times_of_a_time_lapse_are_those_of_its_sidecar(kind: str, tmp
 )
 def test_a_time_lapse_whose_times_nothing_tells_is_refused(sidecar: bytes | None, code: str, tmp_path: Path) -> None:
     source = open_source(str(folder_of({"a.mp4": video_of(tmp_path / "made.mp4", 3, fps=25.0)}, tmp_path / "b")))
-    with pytest.raises(RefusedImageError) as refused:
+    with pytest.raises(FindingError) as refused:
         frames_in(source, "a.mp4", sidecar=lambda: sidecar)
     assert refused.value.finding.code == code
 

@@ -15,7 +15,7 @@ from tests.offline.sources.test_frames import fits_of
 from tests.offline.test_ingest_times import TAKEN, ZONE, taken, with_exif
 
 from sunarc.common.errors import InputError
-from sunarc.sources.image_files import RefusedImageError
+from sunarc.common.findings import FindingError
 from sunarc.sources.image_times import (
     TimedFrame,
     TimeRules,
@@ -54,7 +54,7 @@ def frame_of(name: str, folder: Path, *, content: bytes | None = None, **rules: 
 
 
 def code_of(name: str, folder: Path, **more: object) -> str:
-    with pytest.raises(RefusedImageError) as refused:
+    with pytest.raises(FindingError) as refused:
         frame_of(name, folder, **more)  # type: ignore[arg-type]
     return refused.value.finding.code
 
@@ -196,7 +196,7 @@ def test_a_time_that_the_clocks_of_a_place_showed_twice_or_never_is_refused(
     name: str, zone: str, code: str, pattern: str | None, tmp_path: Path
 ) -> None:
     assert code_of(name, tmp_path, offset=ZoneInfo(zone), pattern=pattern) == code
-    with pytest.raises(RefusedImageError) as refused:
+    with pytest.raises(FindingError) as refused:
         taken(tmp_path / name, pattern, ZoneInfo(zone))
     assert refused.value.finding.code == code
 

@@ -17,6 +17,7 @@ from sunarc.calibration.model.sightings import Sightings
 from sunarc.common.array_types import FloatArray
 from sunarc.common.errors import InputError, OutsideError
 from sunarc.common.findings import Finding, joined
+from sunarc.common.json_text import json_text
 from sunarc.common.utc import rfc3339, utc_time
 from sunarc.formats.csv_files import read_sightings, write_sightings
 from sunarc.formats.exported import Table, Variable
@@ -152,7 +153,7 @@ def table_cell(value: Any) -> str | float | int:  # noqa: ANN401 - whatever a fi
 
 
 def _write_json(path: Path, document: dict[str, Any]) -> None:
-    path.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
+    path.write_text(json_text(document))
 
 
 def _write_netcdf(path: Path, points: Sequence[SunPoint]) -> int:

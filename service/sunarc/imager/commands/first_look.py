@@ -14,32 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.common.array_types import FloatArray, Image
-from sunarc.common.errors import InputError
-from sunarc.common.findings import Finding
+from sunarc.common.findings import Finding, FindingError
 from sunarc.detection.values import Detection
 from sunarc.imaging.preview import preview
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles
 from sunarc.sources.detect_files import detect_in_image
-from sunarc.sources.image_files import ImageSource, RefusedImageError, image_of, kind_of
+from sunarc.sources.image_files import ImageSource, image_of, kind_of
 from sunarc.sources.image_times import TimeRules, timed_frames
 from sunarc.sources.name_times import time_in_name
-
-
-class RefusedAnswerError(InputError):
-    """An answer that cannot be used.
-
-    Parameters
-    ----------
-    question : the option that gives it.
-    finding : why.
-    """
-
-    def __init__(self, question: str, finding: Finding) -> None:
-        remedy = f"{finding.remedy} [{finding.code}]"
-        super().__init__(field=question, problem=finding.text, remedy=remedy)
-        self.finding = finding
-
 
 _NUMBER = r"\d+(?:[.,]\d+)?"
 _ANGLE = re.compile(
@@ -61,24 +44,24 @@ def parse_angle(text: str, *, question: str, axis: Literal["NS", "EW"]) -> float
 
     Raises
     ------
-    RefusedAnswerError : it is no angle of this axis.
+    FindingError : it is no angle of this axis.
     """
     match = _ANGLE.fullmatch(text)
     if match is None or (match["before"] and match["after"]):
-        raise RefusedAnswerError(question, Finding("angle_unreadable", {"given": text}))
+        raise FindingError(question, Finding("angle_unreadable", {"given": text}))
     letter = (match["before"] or match["after"] or "").upper()
     if letter and letter not in axis:
-        raise RefusedAnswerError(question, Finding("angle_of_other_axis", {"given": text}))
+        raise FindingError(question, Finding("angle_of_other_axis", {"given": text}))
     if letter and match["sign"]:
-        raise RefusedAnswerError(question, Finding("angle_signed_twice", {"given": text}))
+        raise FindingError(question, Finding("angle_signed_twice", {"given": text}))
     degrees, minutes, seconds = (_decimal(match[part]) for part in ("degrees", "minutes", "seconds"))
     whole = [part for part in ("degrees", "minutes") if match["minutes" if part == "degrees" else "seconds"]]
     if max(minutes, seconds) >= 60.0 or any(_decimal(match[part]) % 1.0 for part in whole):
-        raise RefusedAnswerError(question, Finding("angle_unreadable", {"given": text}))
+        raise FindingError(question, Finding("angle_unreadable", {"given": text}))
     angle = degrees + minutes / 60.0 + seconds / 3600.0
     most = 90 if axis == "NS" else 180
     if angle > most:
-        raise RefusedAnswerError(question, Finding("angle_beyond", {"given": text, "most": most}))
+        raise FindingError(question, Finding("angle_beyond", {"given": text, "most": most}))
     negative = letter == axis[1] or match["sign"] in {"-", "−"}
     return round(-angle if negative else angle, 7) + 0.0
 
@@ -168,7 +151,7 @@ def _tried(
         frame = timed_frames(source, name, rules, names=names)[-1]
         tried = replace(tried, time=frame.time, rule=frame.family)
         number = frame.number
-    except RefusedImageError as error:
+    except FindingError as error:
         tried, number = replace(tried, faults=(error.finding,)), 0
     image = image_of(source, name, number)
     if isinstance(image, Finding):

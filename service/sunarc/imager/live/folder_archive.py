@@ -13,7 +13,7 @@ from typing import Protocol
 
 from sunarc.common.errors import OutsideError
 from sunarc.common.findings import Finding
-from sunarc.common.utc import EPOCH
+from sunarc.common.utc import DAY_S, EPOCH
 from sunarc.imager.archive.archive import CameraArchive
 from sunarc.imager.archive.seen_files import SeenFile
 from sunarc.imager.cameras.options import FolderOptions
@@ -33,7 +33,7 @@ _LOOK_S = 2.0
 _COUNT_S = 30.0
 _AGAIN = Pauses(60.0, 3600.0)
 """After a failure: a share is back in a minute, a disk that is full perhaps in hours."""
-_LONGEST_S = 14 * 86_400.0
+_LONGEST_S = 14 * DAY_S
 """Of one analysis: a year's images of 12 MP on a small computer take days."""
 _PORTION = 2000
 """Older images that are analysed at once, the newest first: their days are judged before those of the rest."""

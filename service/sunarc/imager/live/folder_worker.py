@@ -16,9 +16,9 @@ from typing import NamedTuple
 
 from sunarc.common.array_types import Image
 from sunarc.common.errors import InputError, OutsideError
-from sunarc.common.findings import Finding
+from sunarc.common.findings import Finding, FindingError
 from sunarc.common.foreign_files import MOST_BYTES, is_regular, name_path, name_text
-from sunarc.common.utc import utc_time
+from sunarc.common.utc import DAY_S, utc_time
 from sunarc.imager.archive.archive import CameraArchive
 from sunarc.imager.archive.pictures_of_one_time import TWO_PICTURES
 from sunarc.imager.archive.seen_files import SeenFile
@@ -54,7 +54,7 @@ class _Dated(NamedTuple):
 
 
 _LATEST = "file_latest"
-_FUTURE_S, _YEARS_S = 60.0, 366.0 * 86_400.0
+_FUTURE_S, _YEARS_S = 60.0, 366.0 * DAY_S
 _TRUNCATED = "file_truncated"
 _HALF_WRITTEN_S = 120.0
 """For so long a file that ends too early may still be written."""
@@ -63,7 +63,7 @@ _STACK_S = 20.0
 _NO_IMAGE_S, _NO_IMAGE_CADENCES = 600.0, 5.0
 _NO_IMAGE = "no_new_image"
 _FOLDER_CODES = ("folder_missing", "folder_not_permitted")
-_WRITTEN_S = 86_400.0
+_WRITTEN_S = DAY_S
 """For so long after its last change a subfolder is one that images are written into."""
 _SILENT_ZENITH_DEG = 85.0
 """Images are expected while the sun is higher."""
@@ -375,7 +375,7 @@ class FolderWorker:
             if self._is_doubtful(file, frame.time):
                 return None
             content = hash_of(image_files.content_of(self._source, name))
-        except image_files.RefusedImageError as error:
+        except FindingError as error:
             self._refuse(file, self._as_latest(name, error.finding))
             return None
         except OSError as error:
@@ -384,11 +384,9 @@ class FolderWorker:
         return _Dated(file, frame, content)
 
     def _timed(self, file: image_files.SourceFile) -> TimedFrame:
-        """Return when the image of a file was taken; RefusedImageError where that cannot be."""
+        """Return when the image of a file was taken; FindingError where that cannot be."""
         if file.size > MOST_BYTES:
-            raise image_files.RefusedImageError(
-                file.name, Finding("file_too_large", {"bytes": file.size, "most": MOST_BYTES})
-            )
+            raise FindingError(file.name, Finding("file_too_large", {"bytes": file.size, "most": MOST_BYTES}))
         sidecar = PurePosixPath(file.name).with_suffix(".json").as_posix()
         names = {sidecar} if is_regular(self._root / name_path(sidecar)) else set[str]()
         frame = timed_frames(self._source, file.name, self._rules, names=names)[0]
@@ -397,7 +395,7 @@ class FolderWorker:
         if self.frame_time.speed == 1.0 and ahead_s > most_s:
             self._verdicts.pop(file.name, None)
             self._ahead.note(file.name, ahead_s - most_s)
-            raise image_files.RefusedImageError(file.name, Finding("file_time_future", {"ahead_s": ahead_s}))
+            raise FindingError(file.name, Finding("file_time_future", {"ahead_s": ahead_s}))
         return frame
 
     def _is_doubtful(self, file: image_files.SourceFile, time: datetime) -> bool:

@@ -13,7 +13,7 @@ from datetime import datetime, timedelta
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
 from sunarc.common.errors import InputError, OutsideError
 from sunarc.common.findings import Finding
-from sunarc.common.utc import rfc3339, utc_time
+from sunarc.common.utc import DAY_S, rfc3339, utc_time
 from sunarc.imager.archive.archive import CameraArchive
 from sunarc.imager.cameras.options import TAI_MINUS_UTC_S
 from sunarc.imager.runtime.clock import Clock
@@ -548,7 +548,7 @@ LARGE_STEP_S = 60.0
 """From this size on a step is no correction of a disciplined clock: a minute turns the sky by 0.25 degrees."""
 SETTLE_S = 600.0
 """How long a clock must go without a large or gradual step afterwards; time services settle within minutes."""
-IMPLAUSIBLE_SETTLE_S = 86_400.0
+IMPLAUSIBLE_SETTLE_S = DAY_S
 """The same where the new time contradicts both the time before and the record: longer than a fault is left alone."""
 _LONGEST_GAP = timedelta(days=2)
 """A service that ran until now has a newer sighting than this, unless the sky was covered."""

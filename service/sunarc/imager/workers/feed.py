@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 from sunarc.common.errors import OutsideError
 from sunarc.common.findings import Finding
-from sunarc.common.utc import rfc3339
+from sunarc.common.utc import DAY_S, rfc3339
 from sunarc.imager.archive.archive import CameraArchive
 from sunarc.imager.archive.database.schema import head_revision
 from sunarc.imager.archive.day_digests import LEAST_KEPT, MOST_DAYS, DayDigest, DayDigests, StoredDays
@@ -99,7 +99,7 @@ class FeedComparison:
         """Begin a night's work when it is time."""
         now = self.clock.now()
         begins_s = _BEGINS_S + zlib.crc32(self.camera.name.encode()) % _SPREAD_S
-        night = math.floor((now.timestamp() + 240.0 * self.camera.site.longitude - begins_s) / 86_400.0)
+        night = math.floor((now.timestamp() + 240.0 * self.camera.site.longitude - begins_s) / DAY_S)
         if night == self._night:
             return
         self._night = night

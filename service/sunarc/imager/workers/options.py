@@ -16,6 +16,7 @@ from sunarc.calibration.model.options import FirstPoseOptions
 from sunarc.common.bounds import require_bounds
 from sunarc.common.errors import ConfigurationError, InputError
 from sunarc.common.foreign_files import MOST_SECRET_BYTES, read_regular
+from sunarc.common.utc import DAY_S
 from sunarc.detection.values import Sensor, bayer_of
 from sunarc.imager.cameras.frame import Frame
 
@@ -193,7 +194,7 @@ class RefitOptions:
     """
 
     check_every_s: Annotated[float, Gt(0.0), Le(3600.0)] = 60.0
-    time_limit_s: Annotated[float, Gt(0.0), Le(86_400.0)] = 900.0
+    time_limit_s: Annotated[float, Gt(0.0), Le(DAY_S)] = 900.0
     image_circle_px: tuple[CirclePx, CirclePx, CirclePx] | None = None
 
     def __post_init__(self) -> None:
@@ -243,7 +244,7 @@ class NightlyOptions:
         require_bounds(self, section_path="nightly")
 
 
-Duration = Annotated[float, Gt(0.0), Le(86_400.0)]
+Duration = Annotated[float, Gt(0.0), Le(DAY_S)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -286,7 +287,7 @@ class CaptureOptions:
     cadence_s: Annotated[float, Gt(0.0), Le(3600.0)] = 30.0
     hdr_exposures_us: tuple[Annotated[float, Gt(0.0), Le(1e8)], ...] = (3_000.0, 12_000.0, 48_000.0)
     sun_zenith_deg: Annotated[float, Gt(0.0), Le(92.0)] = 89.6
-    night_cadence_s: Annotated[float, Gt(0.0), Le(86_400.0)] = 600.0
+    night_cadence_s: Annotated[float, Gt(0.0), Le(DAY_S)] = 600.0
     reopen_after_s: Annotated[float, Gt(0.0), Le(3600.0)] = 1.0
     reopen_at_most_s: Annotated[float, Gt(0.0), Le(3600.0)] = 30.0
     camera_clock_error_s: Annotated[float, Ge(0.0), Le(3600.0)] = 0.001

@@ -271,7 +271,7 @@ def _unit(right: FloatArray, up: FloatArray) -> FloatArray:
 
 _J2000_UNIX_S = 946_728_000.0
 _TT_MINUS_UTC_S = 69.184
-_DAY_S, _CENTURY_DAYS = 86_400.0, 36_525.0
+_CENTURY_DAYS = 36_525.0
 _ABERRATION_RAD = math.radians(20.49552 / 3600.0)
 _PERIHELION_RAD = math.radians(102.937)
 
@@ -292,8 +292,8 @@ def star_directions_by_series(places_icrs: FloatArray, unix_s: float, site: Site
     With annual aberration, precession, nutation and the refraction of the sun's algorithm; within an arcsecond.
     Proper motion is the caller's.
     """
-    days = (unix_s - _J2000_UNIX_S) / _DAY_S
-    centuries = (days + _TT_MINUS_UTC_S / _DAY_S) / _CENTURY_DAYS
+    days = (unix_s - _J2000_UNIX_S) / DAY_S
+    centuries = (days + _TT_MINUS_UTC_S / DAY_S) / _CENTURY_DAYS
     terms = _terms(centuries)
     aberrated = places_icrs + _earth_velocity(terms)
     aberrated /= np.linalg.norm(aberrated, axis=-1, keepdims=True)

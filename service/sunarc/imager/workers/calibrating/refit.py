@@ -294,7 +294,7 @@ def _stars(others: SunPointColumns, epochs: Sequence[str], image_size: tuple[int
 _log = logging.getLogger(__name__)
 
 _POLL_S = 0.5
-_LONGEST_WAIT_S = 86400.0
+_LONGEST_WAIT_S = DAY_S
 """How long a refit waits for a time that can be trusted; the day's own refit comes again after the next clear day."""
 _DAYS_OF_SPREAD = 60
 _Answer = TypeVar("_Answer")
