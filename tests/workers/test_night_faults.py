@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from tests.fixtures.archive import new_archive
-from tests.workers.test_night import BEGIN, CAMERA, Bench, frame_at
+from tests.workers.test_night import BEGIN, CAMERA, EXPOSURE_US, Bench, frame_at
 
 from sunarc.common.array_types import Image
 from sunarc.imager.archive.values import CameraRecord, Event
@@ -28,6 +28,10 @@ from sunarc.sky.night import body_directions, body_position
 MINUTES = (0, 40, 80)
 CONJUNCTION = datetime(2015, 7, 1, 3, 25, tzinfo=UTC)
 """Venus and Jupiter 0.33 degrees apart, 14 degrees high."""
+SIDEREAL_DAY = timedelta(seconds=86_164.0905)
+"""After which the stars stand where they stood."""
+BLACK = 32.0
+"""Level of the simulated sensor without light, counts."""
 Counts = NDArray[np.float64]
 
 
@@ -146,6 +150,36 @@ def test_a_frozen_image_is_named_and_counts_once(bench: Bench) -> None:
     assert {"night_frozen", "night_few_images"} <= codes(event)
     times = {point.time for point in bench.archive.sightings.find("roof", body=None)}
     assert times <= {clear_at(0).time}
+
+
+@pytest.mark.parametrize("longer", [1.0, 1.3, 4.0, 16.0])
+def test_an_image_that_was_exposed_for_longer_than_stated_is_named_and_stores_no_star(
+    bench: Bench, longer: float
+) -> None:
+    """Its stars have moved on: at 16 times the exposure by 37 s of the sky's rotation, 0.16 degrees."""
+    frames = [clear_at(minutes) for minutes in MINUTES]
+    options = SimulatedNight(moon=False, star_e_per_s=50_000.0, faintest=6.0, warm_spots=120)
+    scene = Scene(CAMERA, SGP, options=SceneOptions(night=options))
+    start = BEGIN + timedelta(minutes=MINUTES[1])
+    image = scene.render(int(start.timestamp() * 1e6), exposure_us=EXPOSURE_US * longer)
+    frames[1] = replace(frames[1], image=image)
+    event, is_refused = bench.night(*frames), longer > 2.0
+    assert ("night_exposed_longer" in codes(event)) == is_refused
+    stored = {point.time for point in bench.archive.sightings.find("roof", body=None)}
+    assert stored == {frame.time for frame in frames if not (is_refused and frame is frames[1])}
+    assert false_sightings(bench) == 0
+
+
+def test_a_gap_in_the_haze_is_no_longer_exposure_where_the_nights_before_were_as_bright(bench: Bench) -> None:
+    """Half of the light is lost to haze in two of three images, so the third is .75 mag brighter than most."""
+    bench.night(*(clear_at(minutes) for minutes in MINUTES))
+    for number, minutes in enumerate(MINUTES):
+        frame = clear_at(minutes)
+        hazy = np.round(BLACK + (frame.image - BLACK) / (1.0 if number == 1 else 2.0)).astype(np.uint16)
+        bench.worker.look_at(replace(frame, image=hazy, time=frame.time + SIDEREAL_DAY))
+    night = bench.worker.finish()
+    assert night.n_images == night.n_accepted == 3
+    assert "night_exposed_longer" not in {found.code for found in night.findings}
 
 
 def test_two_planets_close_together_are_not_taken_for_one_another(bench: Bench) -> None:

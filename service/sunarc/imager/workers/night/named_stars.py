@@ -142,6 +142,29 @@ class NightNumbers(NamedTuple):
     images: NightSeries | None
 
 
+MOST_BRIGHTER_MAG = 0.5
+"""By so much an image's zero point may exceed the night's; clouds and haze only lower it."""
+
+
+def exposed_longer(taken: Sequence[TakenImage], before: Sequence[float]) -> dict[int, float]:
+    """Return the images whose stars are brighter than their stated exposure allows, and by how many magnitudes.
+
+    The camera exposed them for longer than it states, so the middle of the exposure is not where it is taken to be: an
+    exposure of 160 s that is stated as 10 s displaces its stars by 0.3 degrees.
+
+    Parameters
+    ----------
+    taken : the images of the night.
+    before : zero points of the last nights: one below tonight's does not count, as a dome is cleaned.
+    """
+    named = [row for row, one in enumerate(taken) if one.found.matches.accepted]
+    light = [_light(taken[row], math.inf) for row in named]  # the bright ones are clipped in a longer exposure
+    zero_points = photometry.extinction_of(light, photometry.ZENITH_BANDS_DEG).zero_point
+    known = [number for number in (_median(zero_points), _median(np.array(before))) if math.isfinite(number)]
+    brighter = zero_points - max(known, default=math.nan)
+    return {row: float(by) for row, by in zip(named, brighter, strict=True) if by > MOST_BRIGHTER_MAG}
+
+
 def numbers_of(taken: Sequence[TakenImage]) -> NightNumbers:
     """Return the numbers of a night; only images whose stars were named say something of the sky."""
     named = [one for one in taken if one.found.matches.accepted]
@@ -193,12 +216,12 @@ def _own_shapes(one: TakenImage) -> Stars:
     return stars.select(stars.sound & (stars.snr > _OWN_SHAPE_SNR))
 
 
-def _light(one: TakenImage) -> photometry.StarLight:
-    """Return the light of the named, unclipped stars to V 4."""
+def _light(one: TakenImage, to_v: float = COUNTED_TO_V) -> photometry.StarLight:
+    """Return the light of the named, unclipped stars to a magnitude."""
     stars = one.found.stars.select(one.found.matches.detection)
     zenith, _ = angles_from_direction(one.found.directions(one.view))
     magnitude = one.view.sky.magnitude[one.view.sky.rows_of(one.found.names(one.view))]
-    used = stars.sound & (magnitude < COUNTED_TO_V)
+    used = stars.sound & (magnitude < to_v)
     return photometry.StarLight(
         zenith_deg=zenith[used],
         air_mass=relative_air_mass(zenith[used]),

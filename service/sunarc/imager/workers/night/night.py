@@ -41,7 +41,15 @@ from sunarc.imager.workers.night.images import (
     store_picture,
 )
 from sunarc.imager.workers.night.moon import MoonImages
-from sunarc.imager.workers.night.named_stars import TakenImage, cloud_fraction, limit_of, numbers_of, offset_of
+from sunarc.imager.workers.night.named_stars import (
+    MOST_BRIGHTER_MAG,
+    TakenImage,
+    cloud_fraction,
+    exposed_longer,
+    limit_of,
+    numbers_of,
+    offset_of,
+)
 from sunarc.imager.workers.options import SensorOptions, sensor_of
 from sunarc.sky.days import solar_date
 from sunarc.sky.night import body_position
@@ -91,6 +99,12 @@ def _flipped(
         return ()
     flip, counts = matching_flip(lit, (calibration.camera.width, calibration.camera.height))
     return (Finding("stars_flipped", {"flip": flip, "n": max(counts)}),) if any(counts) else ()
+
+
+def _longer(by_image: dict[int, float]) -> tuple[Finding, ...]:
+    """Return the finding of images that were exposed for longer than the camera states."""
+    data = {"n": len(by_image), "magnitudes": max(by_image.values(), default=0.0), "limit": MOST_BRIGHTER_MAG}
+    return (Finding("night_exposed_longer", data),) if by_image else ()
 
 
 def summary_of(views: Sequence[StarView], matched: Sequence[MatchedView]) -> NightSummary:
@@ -349,7 +363,7 @@ class NightWorker:
         if calibration is None or not self.trusted():
             code = "night_without_calibration" if calibration is None else "night_clock_not_trusted"
             return self._without_numbers(images, (Finding(code),), self._keep(picture, None, calibration))
-        taken = self._named(images, calibration, heartbeat)
+        images, taken, longer = self._named(images, calibration, heartbeat)
         views, matched = [one.view for one in taken], [one.found for one in taken]
         summary = summary_of(views, matched)
         measured = numbers_of(taken)
@@ -369,7 +383,14 @@ class NightWorker:
             camera=self.camera.name,
             date=evening,
             verdict=verdict,
-            findings=(*findings, *refused[:1], *_flipped(views, matched, calibration), *moon.refused[:1], *frozen),
+            findings=(
+                *findings,
+                *refused[:1],
+                *_flipped(views, matched, calibration),
+                *moon.refused[:1],
+                *frozen,
+                *longer,
+            ),
             decided_at=self.now(),
             n_images=summary.n_images,
             n_accepted=summary.n_accepted,
@@ -397,20 +418,28 @@ class NightWorker:
             picture_time=picture_time,
         )
 
+    def _zero_points_before(self) -> list[float]:
+        """Return the zero points of the last nights that showed stars."""
+        nights = self.camera.archive.nights.find(self.camera.name, limit=NIGHTS_COMPARED)
+        return [one.zero_point for one in nights if one.verdict in _WORTH_COMPARING and one.zero_point is not None]
+
     def _named(
         self, images: Sequence[_StarImage], calibration: Calibration, heartbeat: Callable[[], None]
-    ) -> list[TakenImage]:
-        """Return images with the stars that the calibration names in them."""
+    ) -> tuple[list[_StarImage], list[TakenImage], tuple[Finding, ...]]:
+        """Return images with the stars that the calibration names, without those that were exposed for longer."""
         views = []
         for image in images:
             views.append(self._view(image, calibration))
             heartbeat()
         matched = match_views(views)
         heartbeat()
-        return [
+        taken = [
             TakenImage(view, found, image.exposure_us / 1e6 * 10.0 ** (image.gain_db / 20.0), image.halo)
             for image, view, found in zip(images, views, matched, strict=True)
         ]
+        longer = exposed_longer(taken, self._zero_points_before())
+        kept = [row for row in range(len(taken)) if row not in longer]
+        return [images[row] for row in kept], [taken[row] for row in kept], _longer(longer)
 
     def _without_numbers(
         self, images: Sequence[_StarImage], findings: tuple[Finding, ...], picture_time: datetime | None
