@@ -283,9 +283,9 @@ def _calibrated(sunarc: Sunarc, table: Path, options: str) -> Fit:
 SUNS = {
     # image: where the sun is, and the subject that is still open
     "scout/11-small-circle/800x800_circle25pct.png": ((373.44, 449.24), ""),
-    "scout/11-small-circle/880x880_circle21pct.png": ((413.44, 489.24), "suns in a small image circle"),
+    "scout/11-small-circle/880x880_circle21pct.png": ((413.44, 489.24), ""),
     "peers/crop700.png": ((505.56, 220.38), ""),
-    "peers/full1000.png": ((705.56, 220.38), "suns of any size"),
+    "peers/full1000.png": ((705.56, 220.38), ""),
 }
 
 

@@ -14,7 +14,15 @@ from sunarc.common.errors import InputError
 from sunarc.common.findings import Finding
 from sunarc.detection.disc.detect import detect_sun
 from sunarc.detection.photo.candidates import Candidate, candidates_in, whole_part
-from sunarc.detection.photo.ordinary_image import Photo, detect_sun_in_photo, edge, lies_in_aureole
+from sunarc.detection.photo.ordinary_image import (
+    Photo,
+    cut_out,
+    detect_sun_in_photo,
+    edge,
+    lies_in_aureole,
+    moved,
+)
+from sunarc.detection.photo.plateau import circle_box
 from sunarc.detection.values import Detection, Expectation, Sensor
 
 _TONES = 2.2
@@ -240,7 +248,14 @@ def detect_sun_in_stack(exposures: Sequence[Photo], *, expectation: Expectation 
         raise InputError(field="exposures", problem="none is given", remedy="give the images of one time")
     if len({each.image.shape for each in exposures}) > 1:
         raise InputError(field="exposures", problem="several sizes", remedy="give images of one size")
-    ordered = _longest_first(exposures)
+    ordered, left, top = _longest_first(exposures), 0, 0
+    if (box := circle_box(ordered[0].image)) is not None:
+        ordered, left, top = [cut_out(each, box) for each in ordered], box[1].start, box[0].start
+    place = None if expectation is None else moved(expectation, -left, -top)
+    return moved(_in_stack(ordered, place), left, top)
+
+
+def _in_stack(ordered: Sequence[Photo], expectation: Expectation | None) -> Detection:
     seen = [detect_sun_in_photo(each, expectation=expectation) for each in ordered]
     accepted = [found for found in seen if found.accepted]
     disc = _disc_in(ordered, expectation)

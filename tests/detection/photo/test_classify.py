@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
 import pytest
 
 from sunarc.detection.photo.candidates import Candidate, sigma_px
@@ -177,7 +178,7 @@ def test_an_edge_without_an_aureole_is_a_roofs_or_a_lamps(field: str, bad: float
 
 
 @pytest.mark.parametrize(
-    ("field", "bad", "good"), [("far", 0.329, 0.331), ("near", 0.439, 0.441), ("radius", 1.99, 2.01)]
+    ("field", "bad", "good"), [("far", 0.329, 0.331), ("near", 0.439, 0.441), ("edged", False, True)]
 )
 def test_the_limits_of_a_rim_with_an_edge(field: str, bad: float, good: float) -> None:
     seen = IN_AUREOLE._replace(sky=0.2, off_glare_px=0.0, sigma_px=0.3, rim=EDGED._replace(scatter=0.1))
@@ -189,8 +190,23 @@ def test_the_limits_of_a_rim_with_an_edge(field: str, bad: float, good: float) -
 def test_where_the_sun_is_predicted_an_edge_needs_no_aureole() -> None:
     here = Expectation(x_px=RIM.x, y_px=RIM.y)
     assert judged(SEEN._replace(rim=EDGED), here).verdict == "clear"
-    assert judged(SEEN._replace(rim=EDGED._replace(radius=1.9)), here).finding.code == "blob_edged"
     assert judged(SEEN._replace(rim=EDGED._replace(edged=False)), here).finding.code == "blob_edged"
+
+
+def test_a_small_light_with_an_edge_in_the_dark_is_a_lamp_even_where_the_sun_is_predicted() -> None:
+    here = Expectation(x_px=RIM.x, y_px=RIM.y)
+    for radius, sky, expected in ((1.9, 0.14, "blob_edged"), (1.9, 0.16, "blob_found"), (2.1, 0.14, "blob_found")):
+        seen = SEEN._replace(rim=EDGED._replace(radius=radius, scatter=0.1), sky=sky, sigma_px=0.3)
+        assert judged(seen._replace(off_local_glare_px=0.0), here).finding.code == expected
+
+
+@pytest.mark.parametrize("radius", [0.5, 2.0, 12.0])
+def test_a_sun_is_accepted_at_every_strength_of_its_glare(radius: float) -> None:
+    """The light beside the rim rises; the flag of an edge goes at 0.52, the least of a glare without one is 0.65."""
+    for near in np.arange(0.45, 0.9, 0.01).tolist():
+        rim = EDGED._replace(near=near, far=0.9 * near, edged=near < 0.54, radius=radius, scatter=0.05 * radius)
+        seen = IN_AUREOLE._replace(rim=rim, sigma_px=0.1 * radius, off_glare_px=0.0)
+        assert judged(seen).verdict == "clear", near
 
 
 def test_the_sigma_of_a_rim_with_an_edge_grows_with_what_does_not_follow_it() -> None:

@@ -193,3 +193,20 @@ def test_the_background_of_a_mosaic_is_that_of_its_faintest_colour() -> None:
     reddish[::2, ::2] = np.minimum(2 * reddish[::2, ::2].astype(np.int64), 4095)
     seen, plain = (found_in(image, bayer="RGGB").background_fraction for image in (reddish, grey))
     assert seen == pytest.approx(plain, rel=0.03)  # of three noisy pixels of a cell, not of four
+
+
+@pytest.mark.parametrize("margin", [60, 101, 200])
+@pytest.mark.parametrize("predicted", [False, True])
+def test_a_dark_frame_about_a_small_image_circle_changes_no_answer(margin: int, *, predicted: bool) -> None:
+    rows, columns = np.mgrid[:200, :200]
+    circle = np.where(np.hypot(columns - 99.5, rows - 99.5) < 98.0, glare_image(70.3, 120.7), 20).astype(np.uint16)
+    framed = np.full((200 + 2 * margin, 200 + 2 * margin + 40), 20, dtype=np.uint16)
+    framed[margin : margin + 200, margin : margin + 200] = circle
+    still = np.zeros(framed.shape, dtype=np.bool_)
+    place = Expectation(x_px=71.0, y_px=120.0) if predicted else None
+    there = None if place is None else replace(place, x_px=71.0 + margin, y_px=120.0 + margin)
+    alone, found = found_in(circle, expectation=place), found_in(framed, expectation=there, static=still)
+    assert (alone.verdict, found.verdict) == ("clear", "clear")
+    assert found.x_px == pytest.approx((alone.x_px or 0.0) + margin, abs=0.02)
+    assert found.y_px == pytest.approx((alone.y_px or 0.0) + margin, abs=0.02)
+    assert found.sigma_px == pytest.approx(alone.sigma_px, rel=0.1)

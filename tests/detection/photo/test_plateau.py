@@ -11,7 +11,15 @@ from tests.detection.photo.suns import glare_image, with_text
 from tests.fixtures.stored_answers import require_stored
 
 from sunarc.common.array_types import Image
-from sunarc.detection.photo.plateau import Near, Plateau, faintest_colour, faintest_of_mosaic, plateaus, static_mask
+from sunarc.detection.photo.plateau import (
+    Near,
+    Plateau,
+    circle_box,
+    faintest_colour,
+    faintest_of_mosaic,
+    plateaus,
+    static_mask,
+)
 
 
 def first_of(plane: Image, least_level: float = 1400.0) -> Plateau:
@@ -142,3 +150,30 @@ def test_a_mask_is_where_light_of_half_of_full_scale_changes_by_six_percent_at_m
     expected[98:112, 98:112] = expected[98:112, 298:312] = True  # grown by 0.006 of 400 px
     np.testing.assert_array_equal(still, expected)
     assert static_mask(images[:2], full_scale=255) is None
+
+
+def _circle(share: float, *, size: int = 400, softness: float = 1.0, x: float = 0.0) -> Image:
+    """Return an image with a light disc of so much of its area, whose edge is so many px wide."""
+    rows, columns = np.mgrid[:size, :size] - size / 2.0
+    away = np.hypot(columns - x, rows) - size * np.sqrt(share / np.pi)
+    light = 8.0 + 120.0 / (1.0 + np.exp(np.clip(away / softness, -50.0, 50.0)))
+    return np.asarray(np.round(light), dtype=np.uint8)
+
+
+@pytest.mark.parametrize("share", [0.12, 0.2, 0.4, 0.55])
+@pytest.mark.parametrize("x", [0.0, 20.0])
+def test_the_box_about_a_small_image_circle_holds_it_and_little_else(share: float, x: float) -> None:
+    rows, columns = circle_box(_circle(share, x=x)) or pytest.fail("none is seen")
+    radius = 400.0 * np.sqrt(share / np.pi)
+    for part, middle in ((rows, 200.0), (columns, 200.0 + x)):
+        assert 0.0 <= middle - radius - part.start < 0.15 * radius + 8.0
+        assert 0.0 <= part.stop - middle - radius < 0.15 * radius + 8.0
+        assert part.start % 2 == 0
+
+
+def test_what_fills_the_image_and_what_fades_is_no_small_image_circle() -> None:
+    assert circle_box(_circle(0.75)) is None
+    assert circle_box(_circle(2.0)) is None
+    assert circle_box(_circle(0.2, softness=40.0)) is None  # the glare of a lamp
+    assert circle_box(_circle(0.02)) is None
+    assert circle_box(np.zeros((40, 30, 3), np.uint8)) is None

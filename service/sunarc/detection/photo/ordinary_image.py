@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
+import cv2
 import numpy as np
 
 from sunarc.common.array_types import BoolArray, Image
 from sunarc.common.findings import Finding
 from sunarc.detection.photo import candidates
+from sunarc.detection.photo.plateau import circle_box
 from sunarc.detection.photo.rim import Rim
 from sunarc.detection.photo.urquhart2016 import locate, planes_of
 from sunarc.detection.values import Bayer, Detection, Expectation, Verdict, require_photo
@@ -34,8 +36,8 @@ _AUREOLE, _AUREOLE_LIGHTER, _AUREOLE_FAR, _DAY = 1.15, 0.12, 0.33, 0.15
 sun with an edge (short exposure) differs from a roof and from a lamp at night by its aureole: suns had 1.19, 0.33 and
 0.12 and more, 0.09 and less (docs/studies.md, "A day of clouds"), lamps 0.30 and 0.13 and less. With none that part
 was 0.07 and less about 40 suns, 0.15 and more about hills of cloud."""
-_EDGED_LEAST = 0.01
-"""Of the smaller side: what has an edge and a smaller radius is a gap in the cloud, not the middle of the glare."""
+_LEAST_IN_DARK = 0.01
+"""Of the smaller side, with a prediction: what has an edge and a smaller radius in a dark sky is a lamp."""
 _MIN_FLAT, _MIN_FLAT_PREDICTED = 0.6, 0.2
 """Share of the plateau that is level: nine of ten real suns had 0.82 and more, nine of ten patches of cloud 0.54 and
 less. A small sun in haze, which a prediction names, has 0.25."""
@@ -85,7 +87,7 @@ def _verdict(seen: candidates.Candidate, expectation: Expectation | None) -> tup
     if distance > candidates.REACH_SIGMAS * math.hypot(expectation.uncertainty_px, seen.sigma_px) + candidates.REACH_PX:
         return "reflection", Finding("blob_displaced", {"distance_px": distance})
     return (
-        edge(seen, has_aureole=True)
+        edge(seen, has_aureole=_may_have_aureole(seen))
         or _fault(seen)
         or _unlike_a_sun(seen, _MIN_FLAT_PREDICTED, seen.off_local_glare_px)
         or _clear(seen.rim)
@@ -99,9 +101,10 @@ def _clear(rim: Rim) -> tuple[Verdict, Finding]:
 def edge(seen: candidates.Candidate, *, has_aureole: bool) -> tuple[Verdict, Finding] | None:
     """Return why a round region with an edge may be a white roof, a lamp at night, or a gap in the cloud."""
     rim = seen.rim
-    if rim.near >= candidates.MIN_NEAR and rim.far >= _MIN_FAR and 1.0 - rim.near <= _STEEPEST * (1.0 - rim.far):
-        return None
-    if rim.edged and has_aureole and rim.radius >= _EDGED_LEAST * seen.size_px:
+    is_glare = 1.0 - rim.near <= _STEEPEST * (1.0 - rim.far)
+    if rim.near < candidates.MIN_NEAR or rim.far < _MIN_FAR:
+        is_glare = has_aureole and (is_glare or rim.edged)
+    if is_glare:
         return None
     return "hidden", Finding("blob_edged", {"near": rim.near, "far": rim.far})
 
@@ -111,6 +114,11 @@ def lies_in_aureole(seen: candidates.Candidate) -> bool:
     far = seen.rim.far
     is_lightest = far >= max(_AUREOLE * seen.sky, _AUREOLE_FAR) and seen.lighter <= _AUREOLE_LIGHTER
     return is_lightest and seen.rim.near >= far and seen.sky >= _DAY
+
+
+def _may_have_aureole(seen: candidates.Candidate) -> bool:
+    """Return whether the light about a round region at a predicted place may be the sun's aureole."""
+    return seen.sky >= _DAY or (seen.rim.edged and seen.rim.radius >= _LEAST_IN_DARK * seen.size_px)
 
 
 def _fault(seen: candidates.Candidate) -> tuple[Verdict, Finding] | None:
@@ -203,9 +211,38 @@ def detect_sun_in_photo(
     if zenith is not None and zenith > math.radians(_MAX_APPARENT_ZENITH_DEG):
         below = Finding("sun_below_horizon", {"zenith_deg": math.degrees(zenith)})
         return _none("below_horizon", below, photo.exposure_us)
-    found = None if expectation is None else _near(photo, expectation, elsewhere=elsewhere)
-    found = _anywhere(photo, expectation) if found is None else found
-    return found if robust or found.x_px is None else _papers(found, photo, zenith)
+    shown, (left, top) = framed(photo)
+    place = None if expectation is None else moved(expectation, -left, -top)
+    found = None if place is None else _near(shown, place, elsewhere=elsewhere)
+    found = _anywhere(shown, place) if found is None else found
+    found = found if robust or found.x_px is None else _papers(found, shown, zenith)
+    return moved(found, left, top)
+
+
+def framed(photo: Photo) -> tuple[Photo, tuple[int, int]]:
+    """Return the part of an image about its image circle, where that is small, and the part's first column and row."""
+    box = circle_box(photo.image)
+    return (photo, (0, 0)) if box is None else (cut_out(photo, box), (box[1].start, box[0].start))
+
+
+def cut_out(photo: Photo, box: tuple[slice, slice]) -> Photo:
+    """Return some rows and columns of an image."""
+    static = photo.static
+    if static is not None:
+        rows, columns = photo.image.shape[:2]
+        enlarged = cv2.resize(static.view(np.uint8), (columns, rows), interpolation=cv2.INTER_NEAREST)
+        static = np.ascontiguousarray(np.asarray(enlarged)[box]).view(np.bool_)
+    return photo._replace(image=photo.image[box], static=static)
+
+
+_Place = TypeVar("_Place", Detection, Expectation)
+
+
+def moved(place: _Place, columns: int, rows: int) -> _Place:
+    """Return what has a place, moved by columns and rows."""
+    if place.x_px is None or place.y_px is None or not (columns or rows):
+        return place
+    return replace(place, x_px=place.x_px + columns, y_px=place.y_px + rows)
 
 
 def _near(photo: Photo, expectation: Expectation, *, elsewhere: bool) -> Detection | None:

@@ -248,6 +248,70 @@ def _box(region: Mask) -> tuple[slice, slice]:
     return slice(top, top + max(height, 1)), slice(left, left + max(width, 1))
 
 
+_SAMPLED = 120
+"""Rows and columns in which an image circle is looked for."""
+_LIT = (0.06, 0.03)
+"""From the darkest to the brightest place: an image circle's edge is sharp, a lamp's glare is not."""
+_LIGHT_SIDE = 0.2
+"""Of the brightest place in the middle: more is sky, and not what surrounds an image circle."""
+_SURROUND = 0.02
+"""Share of the image that is beyond a small image circle at least."""
+_AS_SHARP, _AS_ROUND, _FULL = 1.2, 0.1, 0.6
+"""Area at the lower level over that at the upper, difference of the sides, and share of the ellipse in its box."""
+_SMALL_CIRCLE, _CIRCLE_MARGIN = (0.3, 0.9), 0.05
+"""Side of the box about a circle over the image's smaller side; margin about it, of its side."""
+
+
+def circle_box(image: Image) -> tuple[slice, slice] | None:
+    """Return the rows and columns about an image circle that is smaller than its image; None where none is seen.
+
+    Parameters
+    ----------
+    image : (rows, columns) or (rows, columns, 3); the first row and column of the box are even.
+    """
+    size = min(image.shape[:2])
+    step = max(1, size // _SAMPLED)
+    if _reaches_border(image, step):
+        return None
+    light = cv2.medianBlur(_brightest_colour(image[::step, ::step]), 3)
+    dark = float(np.partition(light.ravel(), round(_SURROUND * light.size))[round(_SURROUND * light.size)])
+    masks = [(light > dark + share * (float(light.max()) - dark)).astype(np.uint8) for share in _LIT]
+    narrow, wide = (_largest(opened(mask, 3)) for mask in masks)
+    left, top, width, height, area = narrow
+    is_disc = abs(width - height) <= _AS_ROUND * width and area >= _FULL * math.pi / 4.0 * width * height
+    if (
+        not is_disc
+        or wide[-1] > _AS_SHARP * area
+        or not _SMALL_CIRCLE[0] <= max(width, height) * step / size < _SMALL_CIRCLE[1]
+    ):
+        return None
+    margin = math.ceil(_CIRCLE_MARGIN * max(width, height)) + 1
+    rows, columns = ((first - margin, first + side + margin) for first, side in ((top, height), (left, width)))
+    return tuple(slice(max(first, 0) * step // 2 * 2, last * step) for first, last in (rows, columns))  # type: ignore[return-value]
+
+
+def _brightest_colour(image: Image) -> Image:
+    brightest: Image = image if image.ndim == 2 else image[..., 0].copy()
+    for colour in range(1, 1 if image.ndim == 2 else 3):
+        np.maximum(brightest, image[..., colour], out=brightest)
+    return brightest.copy()
+
+
+def _reaches_border(image: Image, step: int) -> bool:
+    """Return whether the middle of two sides of an image or more is as light as its middle."""
+    rows, columns = image.shape[:2]
+    down, across = (slice(size // 3, size - size // 3, step) for size in (rows, columns))
+    sides = (image[0, across], image[-1, across], image[down, 0], image[down, -1])
+    least = _LIGHT_SIDE * float(np.max(image[down, columns // 2]))
+    return sum(float(np.median(side)) > least for side in sides) > 1
+
+
+def _largest(mask: Mask) -> tuple[int, int, int, int, int]:
+    """Return left, top, width, height and area of the largest connected region of a mask; 0 where there is none."""
+    found = cv2.connectedComponentsWithStats(mask, connectivity=8)[2][1:]
+    return tuple(found[int(np.argmax(found[:, -1]))].tolist()) if len(found) else (0, 0, 0, 0, 0)
+
+
 _BRIGHT = 0.5  # of full scale: what is darker is no plateau beside a sun
 _STILL = 0.06  # of full scale: JPEG's own changes from image to image
 _MARGIN = 0.006  # of the smaller side: the width of a digit, for those that change beside those that do not
