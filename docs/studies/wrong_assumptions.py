@@ -158,6 +158,29 @@ def ghost(rng: np.random.Generator, drawn: World) -> World:
     return replace(drawn, pixels=drawn.pixels + towards * hit[:, None])
 
 
+def seasonal(weeks: int, share: float, *, step_weeks: int = 1) -> Drawn:
+    """Return what draws a day a week of a lens whose focal length follows the year, and the camera of the last day."""
+
+    def drawn(rng: np.random.Generator) -> World:
+        place, lens = world.drawn_place(rng), world.drawn_lens(rng)
+        noon = 1_746_100_800.0 - 240.0 * place.longitude
+        days = noon + 7.0 * 86_400.0 * step_weeks * np.arange(weeks // step_weeks)
+        times = (days[:, None] + np.arange(-32_400.0, 32_400.0, 600.0)).ravel()
+        times = times[world.sun(times, place)[:, 2] > math.sin(math.radians(2.0))]
+        warm = np.cos(2.0 * math.pi * (times / 86_400.0 - 20_300.0) / 365.25 + rng.uniform(0.0, 0.5))
+        # a radius that grows about the centre, whatever the lens
+        pixels = lens.center_px + (1.0 + share * warm[:, None]) * (
+            lens.project(world.sun(times, place)) - lens.center_px
+        )
+        pixels += rng.normal(0.0, 0.15, pixels.shape)
+        inside = np.all((pixels > 1.0) & (pixels < world.SIZE - 2.0), axis=-1)
+        grown, center = share * float(warm[-1]), lens.center_px
+        now = replace(lens, smear=lambda pixels: grown * (pixels - center))
+        return World(place=place, lens=now, unix_s=times[inside], pixels=pixels[inside], sigma_px=0.15)
+
+    return drawn
+
+
 def row(days: int, change: Change | None = None, *, sigma_px: float = 0.05) -> Drawn:
     """Return what draws the worlds of a row."""
 
@@ -198,6 +221,10 @@ ROWS: dict[str, tuple[Drawn, int]] = {
     "two lenses, 1 day": (row(1, mixed), 6),
     "whole pixels, 1 day": (row(1, in_steps), 6),
     "ghost in half the day": (row(1, ghost), 6),
+    "season 3e-4, 26 weeks": (seasonal(26, 3e-4), 6),
+    "season 3e-4, 52 weeks": (seasonal(52, 3e-4), 6),
+    "season 2e-3, 104 weeks": (seasonal(104, 2e-3, step_weeks=2), 6),
+    "no season, 52 weeks": (seasonal(52, 0.0), 6),
     "200 easy days": (row(1, sigma_px=0.3), 200),
 }
 """What draws a world, and of how many lenses by default."""

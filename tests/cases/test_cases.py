@@ -143,7 +143,7 @@ TABLES = {
     "o_mast-turns--05-deg-h-about-the-vertical--1-d_lens0": (
         lambda fit: not fit.accepted or fit.honest, "a mount that moves within the day"),
     "s_season-3e-4-52-weeks-REFUSED": (
-        lambda fit: fit.accepted and fit.honest, "a focal length that follows the season"),
+        lambda fit: fit.accepted and fit.honest, ""),
 }  # fmt: skip
 
 
@@ -249,14 +249,13 @@ def test_half_a_day_is_refused_or_states_what_it_misses_in_the_other_half(sunarc
     assert not fit.accepted or other.share_inside() >= 0.9
 
 
-@still_open("words of a refusal that say the opposite")
 def test_a_part_that_is_missed_by_less_than_is_stated_is_not_called_contradicted(sunarc: Sunarc) -> None:
     fit = _calibrated(
         sunarc, case("real/mali_alt30b.csv"), "--latitude 13.03 --longitude -11.38 --altitude 150 --image-size 1280,960"
     )
-    assert not fit.accepted
-    contradicted = fit.finding("held_out_contradicts")
-    assert contradicted["rmse_px"] > contradicted["stated_px"]
+    assert "direction_sigma_too_large" in fit.codes
+    contradicted = [one["data"] for one in fit.document["verdict"]["findings"] if one["code"] == "held_out_contradicts"]
+    assert all(one["rmse_px"] > one["stated_px"] for one in contradicted)
 
 
 def test_a_few_biased_suns_do_not_veto_the_stars(sunarc: Sunarc) -> None:

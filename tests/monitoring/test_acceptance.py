@@ -104,6 +104,19 @@ def test_days_left_out_that_are_met_worse_than_expected_speak_against_a_fit(
     assert verdict.findings[0].data == {"rmse_px": found, "expected_px": 0.03}
 
 
+def test_a_focal_length_that_follows_the_season_contradicts_no_camera_of_another_season(
+    calibrated: Calibration,
+) -> None:
+    vector = calibrated.camera.to_vector()
+    vector[:2] *= 1.002
+    winter = replace(knowing(calibrated, "2013-11-20"), camera=calibrated.camera.with_parameters(vector))
+    assert not accept(winter, calibrated).accepted
+    known = replace(winter, evidence=replace(winter.evidence, log_odds={"season_share": 0.002}))
+    assert accept(known, calibrated).accepted
+    stepped = replace(winter, evidence=replace(winter.evidence, log_odds={"season_share": 0.0001}))
+    assert not accept(stepped, calibrated).accepted
+
+
 def test_the_other_hand_is_refused(calibrated: Calibration) -> None:
     flipped = replace(calibrated, camera=replace(calibrated.camera, mirrored=True))
     assert codes(accept(flipped, calibrated).findings) == ["handedness_differs"]

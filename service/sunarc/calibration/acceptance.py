@@ -10,7 +10,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance, without_clock
+from sunarc.calibration.answers.covariance import (
+    hemisphere,
+    project_with_covariance,
+    with_covariance,
+    without_clock,
+)
 from sunarc.calibration.evidence import squared_sigmas
 from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import Sightings, apparent_directions
@@ -18,6 +23,7 @@ from sunarc.calibration.quality.widening import fit_direction_sigma_rms_deg
 from sunarc.common.array_types import FloatArray
 from sunarc.common.findings import Finding
 from sunarc.common.robust_statistics import MAD_TO_SIGMA
+from sunarc.optics.camera import FOCAL_LENGTH, PARAMETER_NAMES
 from sunarc.optics.forward import project
 from sunarc.sky.days import day_of_date, solar_days
 
@@ -95,7 +101,7 @@ def accept(
     if not candidate.verdict.accepted:
         return candidate.verdict
     if current is not None:
-        current = without_clock(current)
+        current = _in_any_season(without_clock(current), candidate.evidence.log_odds.get("season_share", 0.0))
     found = (Finding("first_calibration"), *candidate.verdict.findings)
     against = [*_held_out_problems(candidate)]
     if current is not None:
@@ -105,6 +111,19 @@ def accept(
         return Verdict(accepted=True, findings=found)
     against.sort(key=lambda one: not one.refuses)
     return Verdict(accepted=False, marginal=not against[0].refuses, findings=tuple(one.finding for one in against))
+
+
+def _in_any_season(calibration: Calibration, share: float) -> Calibration:
+    """Return a calibration with a focal length that may be another by now, by a share of itself (1-sigma).
+
+    What it states of the sky stays that of its own time.
+    """
+    names = calibration.parameter_names
+    change = np.zeros(len(names))
+    for name, focal in zip(PARAMETER_NAMES[FOCAL_LENGTH], calibration.camera.focal_length_px, strict=True):
+        if name in names:
+            change[names.index(name)] = share * focal
+    return with_covariance(calibration, calibration.covariance + np.outer(change, change)) if share else calibration
 
 
 def unseen_points(points: Sightings, current: Calibration) -> Sightings:

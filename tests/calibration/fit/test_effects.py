@@ -21,7 +21,9 @@ from sunarc.calibration.fit.effects import (
     OFFSET_PX,
     OUTWARDS_PX,
     POSE_DIFFERENCE_DEG,
+    SEASONS,
     SWAY_DEG,
+    seasons_of,
     with_effects,
 )
 from sunarc.calibration.model.result import Calibration, probability, proves
@@ -90,6 +92,7 @@ def test_a_night_without_a_day_and_a_day_without_a_night_have_none(kind: Kind) -
 
 
 SITE = Site(latitude=-33.0, longitude=20.0)
+YEAR = 365.2422 * 86_400.0
 DAY, SECONDS = 86_400.0, np.linspace(-4.0, 4.0, COUNT) * 3600.0
 
 
@@ -165,6 +168,29 @@ def test_what_the_clocks_of_days_have_in_common_is_no_difference_of_theirs() -> 
     np.testing.assert_allclose(np.sum(found["daily_clock"][..., :2], axis=-1), 0.0, atol=1e-12)
     np.testing.assert_allclose(found["daily_clock"][:COUNT, :, 0], 0.5 * found["clock"][:COUNT, :, 0], atol=1e-12)
     np.testing.assert_allclose(found["daily_clock"][:COUNT, :, 2], 0.5 * found["clock"][:COUNT, :, 1], atol=1e-12)
+
+
+def test_a_season_is_a_focal_length_that_was_another_before_the_last_sighting() -> None:
+    towards, times = np.tile(spread_directions(COUNT), (2, 1)), np.concatenate([SECONDS, SECONDS + 0.5 * YEAR])
+    seen = replace(observed(CAMERA, towards), unix_s=times, day=np.repeat([0, 183], COUNT))
+    problem = small_problem(CAMERA)
+    found, shared = with_effects(problem, problem.unknowns([CAMERA]), seen)
+    columns = {one.name: shared.systematic_px[..., one.columns] for one in found.blocks}
+    changes = seasons_of(times)
+    np.testing.assert_allclose(changes[-1], 0.0, atol=1e-15)
+    assert np.max(np.abs(changes[0])) == pytest.approx(2.0, rel=0.01)  # from summer to winter
+    longer = replace(CAMERA, focal_length_px=tuple(1.001 * one for one in CAMERA.focal_length_px))
+    by_share = (project(longer, towards) - project(CAMERA, towards)) / 0.001
+    for name, share in SEASONS.items():
+        expected = share * by_share[..., None] * changes[:, None]
+        acts = np.max(np.abs(expected), axis=(0, 1)) > 1e-4
+        np.testing.assert_allclose(columns[name], expected[..., acts], rtol=5e-3, atol=1e-6)
+
+
+def test_a_week_has_no_season() -> None:
+    assert not np.any(seasons_of(np.linspace(0.0, 7.0 * DAY, 50)))
+    assert not np.any(seasons_of(np.array([np.nan, np.nan])))
+    assert seasons_of(np.zeros(0)).shape[0] == 0
 
 
 def of_swaying_days(turns_deg: FloatArray) -> dict[str, FloatArray]:
@@ -281,6 +307,24 @@ def test_where_nothing_is_wrong_nothing_is_proven() -> None:
     assert found.evidence.pose_spread_deg is None
     error, stated = error_px(found, TRUTH)
     assert 0.001 < error < 1.6 * stated < 0.3
+
+
+@pytest.mark.parametrize("share", [0.0, 3e-4, 2e-3])
+def test_a_focal_length_that_follows_the_season_is_taken_out_and_the_camera_is_that_of_now(share: float) -> None:
+    days = tuple(np.arange(0.0, 365.0, 21.0).tolist())
+    times = times_of(days, cadence_s=900.0)
+    change = share * np.cos(2.0 * np.pi * (times - times[0]) / YEAR + 0.4)
+    at_once = project(TRUTH, sun_directions(times, SGP))
+    longer = replace(TRUTH, focal_length_px=tuple(1.001 * one for one in TRUTH.focal_length_px))
+    pixels = at_once + change[:, None] * (project(longer, sun_directions(times, SGP)) - at_once) / 0.001
+    pixels += np.random.default_rng(9).normal(0.0, 0.1, pixels.shape)
+    found = calibrate(Sightings.of(unix_s=times, pixels=pixels), site=SGP, image_size=SIZE)
+    assert found.verdict.accepted, found.verdict.reasons
+    assert ("focal_length_changes" in codes(found)) == (share > 0.0)
+    assert found.evidence.log_odds.get("season_share", 0.0) == pytest.approx(np.ptp(change), rel=0.3)
+    now = replace(TRUTH, focal_length_px=tuple((1.0 + change[-1]) * one for one in TRUTH.focal_length_px))
+    error, stated = error_px(found, now)
+    assert 0.001 < error < 1.6 * stated < 0.5
 
 
 def by_days(turns_deg: FloatArray, *, sigma_px: float = 0.05, alike: float = 0.0) -> Calibration:

@@ -12,7 +12,15 @@ import numpy as np
 
 from sunarc.calibration.answers.covariance import pose_error, sky_sigma_deg, with_covariance
 from sunarc.calibration.fit.cross_validation import Doubts, HeldOut, doubts, held_out, without_parts
-from sunarc.calibration.fit.effects import CLOCK_OFFSET_S, N_RADIAL, OFFSET_PX, POSE_DIFFERENCE_DEG, SWAY_DEG, SWAYS
+from sunarc.calibration.fit.effects import (
+    CLOCK_OFFSET_S,
+    N_RADIAL,
+    OFFSET_PX,
+    POSE_DIFFERENCE_DEG,
+    SEASONS,
+    SWAY_DEG,
+    SWAYS,
+)
 from sunarc.calibration.fit.robust_fit import RobustFit
 from sunarc.calibration.model import result
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
@@ -249,7 +257,7 @@ def robust_outcome(fit: RobustFit, usable: Sightings, options: CalibrationOption
         inflation=float(np.mean(fit.noise.inflation)) if len(usable) else math.nan,
         radial_px=fit.scales.radial_px,
         held_out=held_out(fit, usable, without),
-        log_odds=fit.log_odds,
+        log_odds=fit.log_odds | _season_share(fit, usable),
         night=_night_difference(fit, usable),
         mixture=fit.posterior.mixture,
         doubts=found,
@@ -265,6 +273,24 @@ def _sways_deg(fit: RobustFit, usable: Sightings) -> tuple[float, float, float]:
     square = (fit.unknowns[of_block] ** 2 + np.diag(fit.posterior.covariance)[of_block]).reshape(-1, 3)
     # runs of several days have their means alone
     return _three(SWAY_DEG * np.sqrt(np.mean(square, axis=0) * np.unique(usable.day).size / len(square)))
+
+
+def _season_share(fit: RobustFit, usable: Sightings) -> dict[str, float]:
+    """Return by what share of itself the focal length changed within the record; nothing where that is not proven."""
+    proven = [
+        one
+        for one in fit.problem.blocks
+        if one.name in SEASONS and result.proves(one.name, fit.log_odds.get(one.name, 0.0))
+    ]
+    if not proven:
+        return {}
+    sizes = [
+        fit.observed.systematic_px[..., one.columns] @ fit.unknowns[fit.problem.block_slice(one.name)] for one in proven
+    ]
+    away = usable.pixels - fit.residual - np.array(fit.problem.camera(fit.unknowns).principal_point_px)
+    square = np.sum(away**2, axis=-1)
+    changes = np.sum(np.sum(sizes, axis=0) * away, axis=-1) / np.maximum(square, float(np.median(square)))
+    return {"season_share": float(np.ptp(changes[square >= np.median(square)]))}
 
 
 def _night_difference(fit: RobustFit, usable: Sightings) -> result.NightDifference | None:

@@ -34,6 +34,14 @@ _TURNED = 25.0
 """Chi-square of the three turns of one part's camera that is no chance."""
 _OPEN = 2.0
 """Variance of a predicted number, in that of the part's noise, beyond which the other parts leave much of it open."""
+_CONTRADICTED = 0.9
+"""Errors over what chance allows from which on a part that is missed by no more than is stated widens what is."""
+_RADIUS_95 = 2.4477
+"""Of a round Gaussian in the plane, 1-sigmas."""
+_SWAYS_DEG = 0.05
+"""Turn of a part's camera up to which it is allowed for by the uncertainty."""
+_TURN_95 = 7.815
+"""Chi-square of three numbers that 95 % stay below."""
 _AS_STATED = 4.0
 """A few errors say little of their size: as if so many more were as stated."""
 _MATTERS = 0.1
@@ -131,8 +139,10 @@ class Doubts(NamedTuple):
 
     n, rmse_px, stated_px : sightings of the part that was predicted worst, by what root mean square distance they were
         missed, and by what the fit without them states.
-    excess : errors of all parts over what chance allows.
-    widening : by how much larger than stated the errors are where the other parts leave much open, 1 or more.
+    excess : errors over what chance allows, of the parts that are missed by more than is stated or turned; 0 where none
+        is.
+    widening : by how much larger than stated the errors are where the other parts leave much open, or where a part that
+        is missed by less than is stated has errors beyond chance, 1 or more.
     turned, turn_deg : chi-square of the turn by which the camera of one part would differ from that of the others, and
         its size: of the part that is turned most surely.
     """
@@ -160,6 +170,11 @@ class _Part(NamedTuple):
     turned: float
     turn_deg: float
 
+    @property
+    def contradicts(self) -> bool:
+        """Return whether it is missed by more than is stated, or surely turned by more than mounts sway."""
+        return self.rmse_px > self.stated_px or (self.turned > _TURNED and self.turn_deg > _SWAYS_DEG)
+
 
 def doubts(fit: RobustFit, usable: Sightings, without: Sequence[_Without]) -> Doubts:
     """Return how well fits without a part of the sightings predict it, see `without_parts`.
@@ -173,14 +188,33 @@ def doubts(fit: RobustFit, usable: Sightings, without: Sequence[_Without]) -> Do
     parts = [part for part in met if part.errors.size]
     if not parts:
         return Doubts(0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0)
-    worst = max(parts, key=lambda part: float(np.max(np.abs(part.errors))))
-    turned = max(parts, key=lambda part: part.turned)
-    square, opened = np.concatenate([part.errors for part in parts]) ** 2, np.concatenate([part.open for part in parts])
+    beyond = [part for part in parts if part.contradicts]
+    worst = max(beyond or parts, key=lambda part: float(np.max(np.abs(part.errors))))
+    turned = max(beyond or parts, key=lambda part: part.turned)
+    widening = _larger_where_open(parts)
+    within = [part for part in parts if not part.contradicts]
+    if _excess(within) > _CONTRADICTED:
+        square = np.concatenate([part.errors for part in within]) ** 2
+        of_turn = max(part.turned for part in within) / _TURN_95
+        widening = max(widening, math.sqrt(max(float(np.max(square)) / _RADIUS_95**2, float(np.mean(square)), of_turn)))
+    return Doubts(worst.n, worst.rmse_px, worst.stated_px, _excess(beyond), widening, turned.turned, turned.turn_deg)
+
+
+def _excess(parts: Sequence[_Part]) -> float:
+    """Return the errors of parts over what chance allows: together, of the largest, of a turn; 0 of none."""
+    if not parts:
+        return 0.0
+    square = np.concatenate([part.errors for part in parts]) ** 2
     together = float(np.sum(square)) / chi_square_limit(square.size, _CHANCE)
-    excess = math.sqrt(max(float(np.max(square)) / _FURTHEST**2, together, turned.turned / _TURNED))
+    turned = max(part.turned for part in parts)
+    return math.sqrt(max(float(np.max(square)) / _FURTHEST**2, together, turned / _TURNED))
+
+
+def _larger_where_open(parts: Sequence[_Part]) -> float:
+    """Return by how much errors are larger than stated where the other parts leave much open, 1 or more."""
+    square, opened = np.concatenate([part.errors for part in parts]) ** 2, np.concatenate([part.open for part in parts])
     larger = (float(np.sum(square[opened])) + _AS_STATED) / (np.count_nonzero(opened) + _AS_STATED)
-    widening = math.sqrt(max(larger, 1.0))
-    return Doubts(worst.n, worst.rmse_px, worst.stated_px, excess, widening, turned.turned, turned.turn_deg)
+    return math.sqrt(max(larger, 1.0))
 
 
 @cache

@@ -53,21 +53,33 @@ _TURNS = 16
 SWAYS = "sways"
 SWAY_DEG = 0.05
 """1-sigma about each axis of how far the mount is turned on a day: masts bend by hundredths, and settle by tenths."""
+SEASONS = {"season": 3e-4, "season_of_plastic": 2.4e-3}
+"""1-sigma of how the focal length follows the year: of glass in aluminium by 1e-5 a kelvin, of plastic by 8e-5. By the
+smaller one alone the season of plastic is taken for a tilt: a summer's sun is higher than a winter's."""
+_YEAR_S = 365.2422 * 86_400.0
+_WEEK = 0.02
+"""Of a year."""
+_HARMONICS = (1.0, 0.4)
+"""1-sigma of the waves once and twice a year, in that of the season."""
+_TRENDS = 3
+"""Half waves over the record, at most, by which years differ."""
 
 
 class _View(NamedTuple):
     """Sightings as a camera near the one sought shows them.
 
     stretch (n, 2, 2): px by the wide prior's aspect and skew. by_direction (n, 2, 3), rise (n, 2): px per unit of the
-    direction, and per radian that it rises. outwards (n, 2), radius (n,): unit vectors away from the principal point,
-    and the distance to it over that of the horizon. off (n, 2): px by which the sightings lie beside it. n_days, day
-    (n,): how many days, and which of them, from 0. hours (n,): from the mean time of each day's sightings.
+    direction, and per radian that it rises. focal (n, 2): px by a focal length twice as long. outwards (n, 2), radius
+    (n,): unit vectors away from the principal point, and the distance to it over that of the horizon. off (n, 2): px by
+    which the sightings lie beside it. n_days, day (n,): how many days, and which of them, from 0. hours (n,): from the
+    mean time of each day's sightings.
     """
 
     seen: Sightings
     stretch: FloatArray
     by_direction: FloatArray
     rise: FloatArray
+    focal: FloatArray
     outwards: FloatArray
     radius: FloatArray
     off: FloatArray
@@ -114,10 +126,26 @@ def _displacements(view: _View) -> Iterator[tuple[str, FloatArray]]:
         daily = [CLOCK_OFFSET_S * apart, CLOCK_DRIFT_S_PER_H * view.hours[:, None] * apart]
         yield "daily_clock", by_time * np.concatenate(daily, axis=-1)[:, None]
     yield PIXELS, view.stretch
+    if np.any(seasons := seasons_of(seen.unix_s)):
+        for name, share in SEASONS.items():
+            yield name, share * view.focal[:, :, None] * seasons[:, None]
     if view.n_days > 2:  # a mount that is turned otherwise on each run of days
         in_run, turns = view.runs(_TURNS), view.turned(SWAY_DEG)
         if _seem_to_sway(view, in_run, turns):
             yield SWAYS, (turns[:, :, None] * in_run[:, None, :, None]).reshape(len(seen), 2, -1)
+
+
+def seasons_of(unix_s: FloatArray) -> FloatArray:
+    """Return (n, k): changes of the focal length since the last sighting, whose camera is sought; relative to a season.
+
+    0 in a record of a week or less, and of sightings without a time.
+    """
+    ago = np.nan_to_num((unix_s - np.nanmax(unix_s, initial=-math.inf)) / _YEAR_S)[:, None]
+    years = float(np.ptp(ago)) if len(ago) else 0.0
+    phase, size = 2.0 * math.pi * ago * np.arange(1, len(_HARMONICS) + 1), np.array(_HARMONICS)
+    half_waves = np.arange(1, _TRENDS + 1)
+    trend = min(years, 1.0) * (np.cos(math.pi * half_waves * ago / max(years, _WEEK)) - 1.0) / half_waves
+    return (years > _WEEK) * np.concatenate([size * np.sin(phase), size * (np.cos(phase) - 1.0), trend], axis=1)
 
 
 def _seem_to_sway(view: _View, in_run: BoolArray, turns: FloatArray) -> bool:
@@ -198,6 +226,7 @@ def _view(problem: FitProblem, unknowns: FloatArray, observed: Sightings) -> _Vi
         np.zeros((n, 2, 3)),
         np.zeros((n, 2)),
         np.zeros((n, 2)),
+        np.zeros((n, 2)),
         np.zeros(n),
         np.zeros((n, 2)),
         days.size,
@@ -215,6 +244,7 @@ def _view(problem: FitProblem, unknowns: FloatArray, observed: Sightings) -> _Vi
         outwards = np.nan_to_num(pixels - np.array(camera.principal_point_px))
         far = np.linalg.norm(outwards, axis=-1)
         edge = camera.focal_length_px[0] * float(ideal_radius(camera.projection, min(camera.max_angle, math.pi / 2)))
+        view.focal[rows] = outwards
         view.outwards[rows] = outwards / np.maximum(far, 1e-9)[:, None]
         view.radius[rows] = far / edge
     return view

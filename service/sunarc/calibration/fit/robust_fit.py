@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunarc.calibration.fit.effects import PIXELS, POSSIBLE, SHOWN_BY_STARS, SWAYS, with_effects
+from sunarc.calibration.fit.effects import PIXELS, POSSIBLE, SEASONS, SHOWN_BY_STARS, SWAYS, with_effects
 from sunarc.calibration.fit.marginal_likelihood import (
     FieldSums,
     HyperparameterGrid,
@@ -213,8 +213,8 @@ def robust_camera(
     grid : scales to try.
     """
     plain = np.concatenate([plain, np.zeros(problem.n_unit)])
-    if SWAYS in problem.names:
-        plain = _begun(problem, observed, plain)
+    for name in sorted(problem.names & {*SEASONS, SWAYS}):
+        plain = _begun(problem, observed, plain, name)
     state, noise, grid, last_round = _with_field(problem, observed, plain, grid, groups)
     informed = replace(observed, information=noise.information(observed))
     problem, state = _with_proven(problem, informed, groups.bins, last_round, state, grid)
@@ -231,19 +231,19 @@ def robust_camera(
     )
 
 
-def _begun(problem: FitProblem, observed: Sightings, unknowns: FloatArray) -> FloatArray:
-    """Return unknowns with a mount that sways as it seems to by what they leave over.
+def _begun(problem: FitProblem, observed: Sightings, unknowns: FloatArray, name: str) -> FloatArray:
+    """Return unknowns with a block as it seems to be by the residuals.
 
-    Where the rounds begin without, residuals that are alike for a day are noise that hides the sways.
+    Where the rounds begin without, residuals that are alike for a day or a season are noise that hides the block.
     """
-    of_sways = problem.block_slice(SWAYS)
+    of_block = problem.block_slice(name)
     distance = multistart.distance_sigmas(problem, observed, unknowns)
     root = counted_roots(distance, observed.information, floor=multistart.SMALLEST_SIGMA_PX)
-    columns = problem.linearised(unknowns, observed)[1][:, :, of_sways] * root[:, None, None]
+    columns = problem.linearised(unknowns, observed)[1][:, :, of_block] * root[:, None, None]
     left = problem.residuals(unknowns, observed) * root[:, None]
     products = np.einsum("nap,naq->pq", columns, columns, optimize=True) + np.eye(columns.shape[2])
     begun = unknowns.copy()
-    begun[of_sways] = np.linalg.solve(products, np.einsum("nap,na->p", columns, left, optimize=True))
+    begun[of_block] = np.linalg.solve(products, np.einsum("nap,na->p", columns, left, optimize=True))
     return begun
 
 

@@ -175,8 +175,9 @@ class Provenance:
     pose_spread_deg : the spread of daily poses that the uncertainty allows for, about east, north and up; None: none.
     moves : moves of the camera that were found among the sightings, in the order of time.
     log_odds : natural log odds of each part of the lens model against its being zero (`skew`, `radial`, `decentering`)
-        and of a field, how many `radial_terms` are needed, and of the errors that sightings share,
-        see `fit.effects`; empty where the method does not compare them.
+        and of a field, how many `radial_terms` are needed, and of the errors that sightings share, see `fit.effects`;
+        `season_share`: by how much of itself the focal length changed within the record, where that is proven. Empty
+        where the method does not compare them.
     held_out : what parts of the sightings say of the fit, by name, see `Doubts`; the covariance is widened by the
         square of its `widening`. Empty where no part was held against the fit.
     """

@@ -221,6 +221,9 @@ def _proven_effects(calibration: Calibration) -> Iterator[Finding]:
         yield Finding("clock_drifts", {"log_odds": proven["daily_clock"]})
     if "outwards" in proven:
         yield Finding("detections_biased", {"log_odds": proven["outwards"]})
+    if "season_share" in log_odds:
+        odds = max(value for name, value in proven.items() if name.startswith("season"))
+        yield Finding("focal_length_changes", {"log_odds": odds, "share": log_odds["season_share"]})
     spread = calibration.evidence.pose_spread_deg
     if "sways" in proven and spread is not None:
         of_days = dict(zip(("east_deg", "north_deg", "up_deg"), spread, strict=True))
