@@ -137,8 +137,9 @@ TABLES = {
         lambda fit: "clock_changed" in fit.codes or (fit.accepted and fit.honest), "clocks that step"),
     "c_last-2-of-4-days-resized-0-998_lens0": (
         lambda fit: not fit.accepted or fit.honest, "pictures that change between days"),
-    "l_cut-to-whole-pixels----5-px---4-d_lens2": (lambda fit: fit.honest, "pixels on a grid"),
-    "a_cut-to-whole-minutes--cadence-60-s-at--37--4-d_lens1": (lambda fit: fit.honest, "times on a grid"),
+    "l_cut-to-whole-pixels----5-px---4-d_lens2": (lambda fit: fit.honest and "pixels_on_grid" in fit.codes, ""),
+    "a_cut-to-whole-minutes--cadence-60-s-at--37--4-d_lens1": (
+        lambda fit: fit.honest and "times_without_seconds" in fit.codes, ""),
     "nasty_6--pixel-1-02-wide--1-day_lens4": (lambda fit: fit.honest, "pixels that are not square, on one day"),
     "o_mast-turns--05-deg-h-about-the-vertical--1-d_lens0": (
         lambda fit: not fit.accepted or fit.honest, "a mount that moves within the day"),
@@ -231,7 +232,7 @@ def test_a_wrong_hemisphere_is_refused_with_the_latitude_of_the_other_sign_named
 HALF_DAYS = {
     # track: where it was taken, and the subject that is still open
     "straight_morning": ("--latitude 54.4947 --longitude 11.24082 --altitude 9", ""),
-    "FE4_afternoon": ("--latitude 54.49587 --longitude 11.23768", "half days of real tracks"),
+    "FE4_afternoon": ("--latitude 54.49587 --longitude 11.23768", ""),
 }
 
 

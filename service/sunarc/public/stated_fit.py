@@ -12,11 +12,11 @@ from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.lens_library.lens_type import LensType
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, Mirrored
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import Sightings
+from sunarc.calibration.model.sightings import Sightings, time_step_s
 from sunarc.calibration.pose import estimate_pose
 from sunarc.calibration.quality.fit_checks import provisional
 from sunarc.calibration.quality.tilt import require_level
-from sunarc.calibration.quality.widening import with_clock
+from sunarc.calibration.quality.widening import with_clock, with_whole_minutes
 from sunarc.calibration.stated_prior import PriorTolerances, calibrate_with_prior
 from sunarc.changes.record import Moved, calibrate_moved, calibrate_with_lens
 from sunarc.common.errors import InputError
@@ -101,6 +101,8 @@ def fit_as_stated(
         solved = _explained(solved, points, options=options, circle=circle)
     if keep_provisional:
         solved = provisional(solved, limit_deg=options.max_sky_deg)
+    if clock_error_s is None:
+        solved = with_whole_minutes(solved, time_step_s(points.unix_s))
     solved = with_clock(solved, clock_error_s)
     return Moved(solved, points)
 

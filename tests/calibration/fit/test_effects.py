@@ -232,6 +232,25 @@ def test_detections_are_biased_along_the_radius_by_the_same_everywhere() -> None
     np.testing.assert_allclose(found["outwards"][..., 0], OUTWARDS_PX * along, atol=1e-9)
 
 
+@pytest.mark.parametrize(("step_px", "expected_px"), [(1.0, 0.5), (4.0, 2.0), (0.25, 0.125), (0.01, 0.0), (0.0, 0.0)])
+def test_suns_on_a_grid_are_all_displaced_by_half_a_step_each_way(step_px: float, expected_px: float) -> None:
+    """The pixels of stars on no grid are neither displaced nor do they hide that of the sun's."""
+    count = 40
+    seen = observed(CAMERA, spread_directions(count))
+    sun = np.arange(count) < 30
+    pixels = np.where(sun[:, None], np.floor(seen.pixels / step_px) * step_px if step_px else seen.pixels, seen.pixels)
+    seen = replace(seen, pixels=pixels, kind=np.where(sun, Kind.SUN, Kind.STAR))
+    problem = small_problem(CAMERA)
+    found, shared = with_effects(problem, problem.unknowns([CAMERA]), seen)
+    columns = {one.name: one.columns for one in found.blocks}
+    on_grid = shared.systematic_px[..., columns.get("grid", slice(0, 0))]
+    if expected_px == 0.0:
+        assert on_grid.size == 0
+    else:
+        np.testing.assert_allclose(on_grid[sun], np.broadcast_to(expected_px * np.eye(2), (30, 2, 2)), rtol=1e-6)
+        assert not np.any(on_grid[~sun])
+
+
 @pytest.mark.parametrize(("name", "least"), [("air", 3.0), ("pixels", 10.0), ("outwards", 10.0), ("sways", 40.0)])
 def test_proof_takes_log_odds(name: str, least: float) -> None:
     assert proves(name, least + 0.1)

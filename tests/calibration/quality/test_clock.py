@@ -14,7 +14,8 @@ from tests.fixtures.calibration import current_document
 from sunarc.calibration.acceptance import apart_sigmas
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance, sigma_deg, without_clock
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.quality.widening import with_clock
+from sunarc.calibration.model.sightings import time_step_s
+from sunarc.calibration.quality.widening import with_clock, with_whole_minutes
 from sunarc.formats.calibration_document import from_document
 
 STATED_S = 120.0
@@ -47,6 +48,24 @@ def test_a_clock_that_nothing_bounds_is_said_and_changes_no_digit(fit: Calibrati
     assert said.verdict.findings[-1].data["turn_deg_per_minute"] == pytest.approx(0.25, abs=0.001)
     np.testing.assert_array_equal(said.covariance, fit.covariance)
     assert (said.evidence.clock_error_s, said.evidence.clock_stated) == (2.0, False)
+
+
+def test_half_a_minute_is_assumed_of_times_without_seconds_and_said(fit: Calibration) -> None:
+    said = with_clock(with_whole_minutes(fit, 60.0), None)
+    by_code = {one.code: one.data for one in said.verdict.findings}
+    assert by_code["times_without_seconds"]["clock_error_s"] == by_code["clock_unbounded"]["clock_error_s"] == 30.0
+    np.testing.assert_array_equal(said.covariance, with_clock(fit, 30.0).covariance)
+    assert not said.evidence.clock_stated
+    assert with_whole_minutes(fit, 0.0) is fit
+
+
+@pytest.mark.parametrize(
+    ("seconds", "step_s"), [((0.0,), 60.0), ((0.0, 30.0), 0.0), ((0.0, 0.25), 0.0), ((37.0,), 0.0), ((), 0.0)]
+)
+def test_times_are_on_the_minute_where_all_are(seconds: tuple[float, ...], step_s: float) -> None:
+    minutes = 1_368_403_200.0 + 120.0 * np.arange(25.0)
+    assert time_step_s((minutes[:, None] + np.array(seconds)).ravel()) == step_s
+    assert time_step_s(minutes[:19]) == 0.0
 
 
 def test_comparisons_by_one_clock_do_not_have_it(fit: Calibration) -> None:

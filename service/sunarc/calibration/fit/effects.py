@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.calibration.evidence import RECORD
-from sunarc.calibration.model.sightings import Kind, Sightings
+from sunarc.calibration.model.sightings import Kind, Sightings, grid_steps_px
 from sunarc.calibration.noise import lag_one, neighbours
 from sunarc.calibration.solve.priors import LENS, STRETCH, with_wide_pixels
 from sunarc.calibration.solve.problem import Block, FitProblem, by_elevation
@@ -113,6 +113,9 @@ def _displacements(view: _View) -> Iterator[tuple[str, FloatArray]]:
         yield "night_pose", view.turned(POSE_DIFFERENCE_DEG) * night[:, None, None]
     yield "air", view.rise[:, :, None] * seen.refraction_sd[:, None, :]
     yield "outwards", OUTWARDS_PX * (outwards * (seen.kind == Kind.SUN)[:, None])[..., None]
+    # pixels on a grid may have been cut: all are then half a step too small
+    of_sun = seen.kind == Kind.SUN
+    yield "grid", np.diag(0.5 * grid_steps_px(seen.pixels[of_sun])) * of_sun[:, None, None]
     # A clock that is off, and that drifts on every day alike, where its bound allows it. That it is off within a stated
     # bound turns the pose, see `answers.covariance.pose_error`. No sighting tells one from a lens that is another, nor
     # a drift that is the same on every day; the clock of a night is in the night's turn.
@@ -185,7 +188,7 @@ def _log_evidence(products: FloatArray, pulls: FloatArray) -> FloatArray:
     return np.asarray(0.5 * (gain - np.linalg.slogdet(products + np.eye(3))[1]))
 
 
-POSSIBLE = frozenset({"night_offset", "night_pose", "air", "outwards", "clock"})
+POSSIBLE = frozenset({"night_offset", "night_pose", "air", "outwards", "grid", "clock"})
 """The shared errors that are in the covariance though the sightings do not prove them."""
 
 

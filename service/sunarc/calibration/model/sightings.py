@@ -262,6 +262,30 @@ class Sightings:
         return self.select(np.unique(np.linspace(0, len(self) - 1, most).astype(int)))
 
 
+# Numbers on a grid: cut or rounded before they were written. A cut moves all of them by half a step, a rounding none.
+
+_FEWEST_ON_GRID = 20
+_DIGIT_PX, _LEAST_STEP_PX = 1e-4, 0.05
+"""Digits to which pixels are compared, and the smallest step that matters."""
+_MINUTE_S = 60.0
+
+
+def grid_steps_px(pixels: FloatArray) -> FloatArray:
+    """Return (2,): the steps by which all x and all y of pixels (n, 2) differ, px; 0 of few, and on no grid."""
+    known = pixels[np.all(np.isfinite(pixels), axis=-1)]
+    if len(known) < _FEWEST_ON_GRID:
+        return np.zeros(2)
+    digits = np.round((known - known[0]) / _DIGIT_PX).astype(np.int64)
+    step = _DIGIT_PX * np.gcd.reduce(digits, axis=0)
+    return np.asarray(np.where(step < _LEAST_STEP_PX, 0.0, step))
+
+
+def time_step_s(unix_s: FloatArray) -> float:
+    """Return the step of times (n,) that are all whole minutes, as a format without seconds writes them, s; else 0."""
+    known = unix_s[np.isfinite(unix_s)]
+    return _MINUTE_S if len(known) >= _FEWEST_ON_GRID and not np.any(known % _MINUTE_S) else 0.0
+
+
 def _column(name: str, values: ArrayLike, length: int | None) -> FloatArray:
     """Return a read-only copy of a column, (n,), or of unit vectors, (n, 3); what is given once is given for all."""
     vectors = name == "directions"

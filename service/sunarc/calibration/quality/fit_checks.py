@@ -12,7 +12,7 @@ import numpy as np
 from sunarc.calibration.answers.covariance import seen_sky, sigma_deg
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration, Verdict, proves, refused_for
-from sunarc.calibration.model.sightings import Kind, Sightings
+from sunarc.calibration.model.sightings import Kind, Sightings, grid_steps_px
 from sunarc.calibration.quality.day_arcs import arc_length_deg, unexplained_days
 from sunarc.calibration.quality.day_clocks import unsteady_clock
 from sunarc.calibration.quality.tilt import proposed_limit_deg, tilt_question
@@ -163,7 +163,7 @@ def fit_verdict(
         found.append(Finding("provisional"))
     if options.mirrored == "auto":
         found.append(Finding("mirrored" if calibration.camera.mirrored else "not_mirrored"))
-    found += [*_off_center(calibration), *_proven_effects(calibration)]
+    found += [*_off_center(calibration), *_proven_effects(calibration), *_on_grid(usable)]
     if question is not None:
         found.insert(0, _tilt_shown(calibration) or question)
     if not tilt_known:
@@ -228,6 +228,13 @@ def _proven_effects(calibration: Calibration) -> Iterator[Finding]:
     if "sways" in proven and spread is not None:
         of_days = dict(zip(("east_deg", "north_deg", "up_deg"), spread, strict=True))
         yield Finding("mount_sways", {"log_odds": proven["sways"], **of_days})
+
+
+def _on_grid(usable: Sightings) -> Iterator[Finding]:
+    """Yield that the sun's pixels are on a grid."""
+    step_px = float(np.max(grid_steps_px(usable.pixels[usable.kind == Kind.SUN])))
+    if step_px > 0.0:
+        yield Finding("pixels_on_grid", {"step_px": step_px})
 
 
 def _off_center(calibration: Calibration) -> Iterator[Finding]:

@@ -89,6 +89,23 @@ def with_clock(calibration: Calibration, clock_error_s: float | None, *, assumed
     )
 
 
+def with_whole_minutes(calibration: Calibration, step_s: float) -> Calibration:
+    """Return a calibration of which no bound of the clock is stated, its times being on a grid: half a step is assumed.
+
+    Parameters
+    ----------
+    calibration : as it was fitted.
+    step_s : see `time_step_s`; 0 of times on none.
+    """
+    if step_s == 0.0:
+        return calibration
+    assumed = with_clock(calibration, 0.5 * step_s)
+    assumed = replace(assumed, evidence=replace(assumed.evidence, clock_stated=False))
+    if not calibration.verdict.accepted:
+        return assumed
+    return with_finding(assumed, Finding("times_without_seconds", {"clock_error_s": 0.5 * step_s}))
+
+
 def _unbounded(calibration: Calibration) -> Finding:
     a_minute_deg = math.degrees(60.0 * EARTH_RATE)
     latitude = math.radians(calibration.site.latitude)
