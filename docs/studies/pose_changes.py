@@ -172,7 +172,7 @@ def archive(rng: np.random.Generator, case: str) -> list[str]:
 
 
 def online(rng: np.random.Generator, case: str, *, clock_stepped: bool | None = False) -> list[str]:
-    """Return the first change that is seen in three days, one sighting in two minutes."""
+    """Return the first change that is seen in three days, and what it may be instead; one sighting in two minutes."""
     seen = points(
         rng, case, np.concatenate([times_of(range(6), 80), times_of(range(6, 9), 300, case=case, day=6)]), day=6
     )
@@ -185,7 +185,7 @@ def online(rng: np.random.Generator, case: str, *, clock_stepped: bool | None = 
             watch, one, calibration=lens, site=SITE, options=WatchOptions(), clock_stepped=clock_stepped
         )
         if change is not None:
-            return [change.cause + dated(change.time, case, 6)]
+            return [" or ".join((change.cause, *change.perhaps)) + dated(change.time, case, 6)]
     return []
 
 
