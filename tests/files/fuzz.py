@@ -12,6 +12,7 @@ process, in which each reader is asked apart. Printed is a table by reader; fail
 from __future__ import annotations
 
 import argparse
+import gzip
 import io
 import json
 import mmap
@@ -31,13 +32,14 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from time import perf_counter, process_time
 from typing import Any, Literal, NamedTuple
 
 import cv2
 import h5netcdf
+import h5py
 import numpy as np
 from astropy.io import fits
 from numpy.typing import NDArray
@@ -65,20 +67,14 @@ from sunarc.lab.studies.benchmark_scores import score
 from sunarc.public.calibrate_files import read_joint_spec
 from sunarc.sky.site import Site
 from sunarc.sources.files import read_image, read_lines
-from sunarc.sources.image_files import (
-    checked_image,
-    fits_bayer,
-    fits_frame,
-    fits_image,
-    fits_site,
-    netcdf_frames,
-    netcdf_images,
-    video_frames,
-    video_images,
-)
-from sunarc.sources.image_times import exif_time, sidecar_time
+from sunarc.sources.fits_files import fits_bayer, fits_frame, fits_image, fits_site
+from sunarc.sources.image_files import checked_image, image_of
+from sunarc.sources.image_times import TimeRules, exif_time, sidecar_time, timed_frames
 from sunarc.sources.index import CameraPlan, Selector, read_cameras
 from sunarc.sources.look import PackedMask
+from sunarc.sources.sources import open_source
+from sunarc.sources.stack_files import netcdf_frames, netcdf_images
+from sunarc.sources.video_files import video_frames, video_images
 
 ROOT = Path(__file__).resolve().parents[2]
 SLOWEST_S = 1.0
@@ -356,7 +352,7 @@ def readers() -> list[Reader]:
     for ending in (".png", ".jpg", ".tiff", ".bmp"):
         content = cv2.imencode(ending, image)[1].tobytes()
         found.append(Reader(f"image{ending}", (content,), at_path("a" + ending, read_image)))
-    for ending in (".png", ".jpg", ".tiff"):
+    for ending in (".png", ".jpg", ".tiff", ".bmp", ".webp"):
         coded = tuple(cv2.imencode(ending, one)[1].tobytes() for one in (image, np.dstack([image] * 3)))
         found.append(Reader(f"archive{ending}", coded, lambda content, _: checked_image(content, "a")))
     return found + archive_readers(image) + state_readers()
@@ -394,7 +390,12 @@ def archive_readers(image: NDArray[np.uint8]) -> list[Reader]:
         Reader("exif", (tagged.getvalue(),), lambda content, _: exif_time(io.BytesIO(content))),
         Reader("sidecar", (json.dumps(said).encode(),), lambda content, _: sidecar_time(content, "a", None)),
         Reader("cameras", (cameras,), at_path("cameras.toml", lambda p: read_cameras(p, common=common))),
-        Reader("fits", (fits_file(image),), fits_of, SLOW),
+        Reader("fits", (fits_file(image), fits_tiles(image)), fits_of, SLOW),
+        Reader("fits.gz", (gzip.compress(fits_file(image)),), in_folder("a.fits.gz"), SLOW),
+        Reader("netpbm", netpbm_files(image), in_folder("a.pgm")),
+        Reader("netpbm.gz", tuple(map(gzip.compress, netpbm_files(image))), in_folder("a.pgm.gz"), DEAR),
+        Reader("bmp.gz", (gzip.compress(cv2.imencode(".bmp", image)[1].tobytes()),), in_folder("a.bmp.gz"), DEAR),
+        Reader("trex", (trex_file(image),), netcdf_of, SLOW),
         Reader("netcdf", (netcdf_file(image),), netcdf_of, SLOW),
         Reader("video", (video_file(image, "avi", "MJPG"), video_file(image, "mp4", "mp4v")), video_of, SLOW),
     ]
@@ -433,6 +434,45 @@ def fits_of(content: bytes, _: Path) -> object:
     fits_site(content, "a")
     fits_bayer(content, "a")
     return fits_image(content, "a", size=None)
+
+
+def fits_tiles(image: NDArray[np.uint8]) -> bytes:
+    """Return a FITS file of compressed tiles."""
+    made = io.BytesIO()
+    fits.HDUList([fits.PrimaryHDU(), fits.CompImageHDU(image.astype(np.uint16) * 100)]).writeto(made)
+    return made.getvalue()
+
+
+def netpbm_files(image: NDArray[np.uint8]) -> tuple[bytes, ...]:
+    """Return a PGM file, a PPM file, and one of two images with their times."""
+    comments = b'#"Image request start" 2013-05-13 12:30:00.017 UTC\n#"Subframe requested exposure" 1000.0 ms\n'
+    deep = b"P5\n" + comments + b"20 20\n65535\n" + image.astype(">u2").tobytes()
+    grey, colours = (cv2.imencode(*one)[1].tobytes() for one in ((".pgm", image), (".ppm", np.dstack([image] * 3))))
+    return grey, colours, deep + deep
+
+
+def trex_file(image: NDArray[np.uint8]) -> bytes:
+    """Return an HDF5 file of two colour images as TREx's."""
+    made = io.BytesIO()
+    with h5py.File(made, "w") as file:
+        file["data/images"] = np.stack([np.dstack([image] * 3)] * 2, axis=-1)
+        file["data/timestamp"] = np.array([b"2013-05-13 12:30:00.017 UTC", b"2013-05-13 12:30:03.017 UTC"])
+    return made.getvalue()
+
+
+def in_folder(name: str) -> Callable[[bytes, Path], object]:
+    """Return a reader of a file of a folder: its times, then its first image."""
+
+    def read(content: bytes, folder: Path) -> object:
+        (folder / name).write_bytes(content)
+        source = open_source(str(folder))
+        timed_frames(source, name, TimeRules(offset=timedelta(0)), names=())
+        found = image_of(source, name)
+        if isinstance(found, Finding):
+            raise FindingError(name, found)
+        return found
+
+    return read
 
 
 def netcdf_file(image: NDArray[np.uint8]) -> bytes:

@@ -22,6 +22,7 @@ CASES = 25
 NAMES = (
     *("sightings", "pairs", "settings", "hub", "npy", "document", "feed", "entry", "case", "joint", "lens"),
     *("image.png", "image.jpg", "image.tiff", "image.bmp", "archive.png", "archive.jpg", "archive.tiff"),
+    *("archive.bmp", "archive.webp", "fits.gz", "netpbm", "netpbm.gz", "bmp.gz", "trex"),
     *("document-in-image", "exif", "sidecar", "cameras", "fits", "netcdf", "video"),
     *("leaf-rows", "ledger", "warm-pixels"),
     *(f"view-{form.name}" for form in FORMATS.values() if form.read is not None),

@@ -28,8 +28,11 @@ def test_a_lossless_image_keeps_its_depth_and_every_count(tmp_path: Path, kind: 
     np.testing.assert_array_equal(read, image)
 
 
-def test_an_alpha_channel_is_dropped(tmp_path: Path) -> None:
+def test_an_opaque_alpha_channel_is_dropped_and_a_transparent_image_is_refused(tmp_path: Path) -> None:
     image = np.arange(2 * 3 * 4, dtype=np.uint8).reshape(2, 3, 4)
+    with pytest.raises(InputError, match="transparent"):
+        read_image(written(tmp_path / "b.png", image))
+    image[..., 3] = 255
     np.testing.assert_array_equal(read_image(written(tmp_path / "a.png", image)), image[..., :3])
 
 

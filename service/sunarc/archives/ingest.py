@@ -123,7 +123,7 @@ def ingest_folder(
         by_verdict=dict(Counter(one.verdict for one in found.values()).most_common()),
         skipped=(*failures, *store.failures, *nights.failures),
         contact_sheet=sheet if found else None,
-        camera_findings=(*findings, *nights.findings, *list(store.set_aside.values())[:1]),
+        camera_findings=(*camera.findings, *findings, *nights.findings, *list(store.set_aside.values())[:1]),
         nights=nights.looked_at,
         nights_known=nights.known,
     )

@@ -383,7 +383,9 @@ def _camera(result: CameraResult, documents: Mapping[tuple[str, str], Document])
         "accepted": accepted(result.looked),
         "second_pass": {"found": pairs.count((False, True)), "refused": pairs.count((True, False))},
         "by_verdict": dict(verdicts.most_common()),
-        "findings": [{**one.as_json(), "reason": one.sentence} for one in result.rough.findings],
+        "findings": [
+            {**one.as_json(), "reason": one.sentence} for one in (*result.camera.findings, *result.rough.findings)
+        ],
         "nights": _nights(result),
         "epochs": [_epoch_summary(result, n, documents) for n in range(len(result.epochs))],
         "horizon": None if result.horizon is None else {"seen": result.horizon.seen, "hidden": result.horizon.hidden},

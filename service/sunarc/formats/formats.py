@@ -129,8 +129,14 @@ def _read_json(content: bytes, /, *, name: str, beside: Beside) -> View:
     except (ValueError, RecursionError):
         known = ", ".join(one.name for one in FORMATS.values() if one.read is not None)
         raise FindingError(name, Finding("file_format_unknown", {"known": known})) from None
+    if isinstance(document, dict) and set(document) >= _PLATEPAR:
+        raise FindingError(name, Finding("platepar_not_read"))
     calibration = from_document(document)
     return replace(calibration_view(calibration), document=document, calibration=calibration)
+
+
+_PLATEPAR = {"RA_d", "dec_d", "F_scale", "x_poly_fwd"}
+"""Keys of an RMS platepar, the plate solution of a meteor station."""
 
 
 def calibration_view(calibration: Calibration) -> View:

@@ -31,9 +31,11 @@ from sunarc.sky.directions import angular_distance, direction_from_angles
 from sunarc.sky.night import FAINTEST_V, NightSky, night_sky
 from sunarc.sky.site import Site
 from sunarc.sources.detect_files import estimated_full_scale
-from sunarc.sources.files import read_file, read_image
-from sunarc.sources.image_files import fits_bayer, fits_frame, fits_image, fits_site, kind_of
-from sunarc.sources.image_times import ASSUMED_UTC, TimeRules, timed_picture
+from sunarc.sources.file_kinds import kind_of
+from sunarc.sources.fits_files import fits_bayer, fits_site
+from sunarc.sources.image_files import image_of
+from sunarc.sources.image_times import ASSUMED_UTC, HEADER_FAMILIES, TimedFrame, TimeRules, sidecar_of, timed_frames
+from sunarc.sources.source_files import opened
 from sunarc.sources.sources import Folder
 from sunarc.stars.blind_start import BlindOptions, BlindStart, NightDetections, blind_start, with_clock_error
 from sunarc.stars.views import StarView, match_views, matching_flip, predict_stars
@@ -257,7 +259,9 @@ def _other_site(path: Path, site: Site) -> Finding | None:
     """Return what a FITS header says that is another site; longitudes that are positive to the west are known."""
     if kind_of(path.name) != "fits":
         return None
-    if (place := fits_site(read_file(path), path.name)) is None:
+    with opened(Folder(name_text(path.parent)), name_text(path.name)) as file:
+        place = fits_site(file, path.name)
+    if place is None:
         return None
     here = direction_from_angles(zenith_deg=90.0 - site.latitude, azimuth_deg=site.longitude)
     there = [direction_from_angles(zenith_deg=90.0 - place[0], azimuth_deg=east) for east in (place[1], -place[1])]
@@ -267,34 +271,33 @@ def _other_site(path: Path, site: Site) -> Finding | None:
 
 
 def _read(path: Path, options: StarOptions) -> tuple[datetime, Image, Bayer | None]:
-    """Return the middle of an image's exposure, its pixels, and the colours of its mosaic.
+    """Return the middle of an image's exposure, its pixels, and the colours of its mosaic; of several the first one's.
 
-    A FITS file's time is that of its header, which with an exposure is that of the middle; without one it is of the
-    name. A pattern of names goes first.
+    The time of a header with an exposure is that of the middle. A pattern of names goes first.
     """
-    to_middle = timedelta(seconds=options.to_middle_s)
-    if kind_of(path.name) != "fits":
-        stated = _stated_time(path, options.rules)
-        return stated + to_middle, read_image(path), options.bayer
-    content = read_file(path)
-    image = fits_image(content, path.name, size=None)
-    bayer = options.bayer or (fits_bayer(content, path.name) if image.ndim == 2 else None)
-    frame = fits_frame(content, path.name)
-    if frame.time is not None and options.rules.pattern is None:
-        return frame.time if frame.exposure_us is not None else frame.time + to_middle, image, bayer
+    source, name = Folder(name_text(path.parent)), name_text(path.name)
+    frame = _stated_frame(path, source, options.rules)
+    found = image_of(source, name)
+    if isinstance(found, Finding):
+        raise FindingError(name, found)
+    is_middle = frame.exposure_us is not None and frame.family in HEADER_FAMILIES.values()
+    time = frame.time if is_middle else frame.time + timedelta(seconds=options.to_middle_s)
+    bayer = options.bayer
+    if bayer is None and found.ndim == 2 and kind_of(path.name) == "fits":
+        with opened(source, name) as file:
+            bayer = fits_bayer(file, name)
+    return time, found, bayer
+
+
+def _stated_frame(path: Path, source: Folder, rules: TimeRules) -> TimedFrame:
+    beside = Path(sidecar_of(str(path)))
+    names = [name_text(beside.name)] if is_regular(beside) else []
     try:
-        stated = _stated_time(path, options.rules)
+        return timed_frames(source, name_text(path.name), rules, names=names)[0]
     except FindingError as refused:
-        if refused.finding.code != "file_time_unknown":
+        if refused.finding.code != "file_time_unknown" or kind_of(path.name) != "fits":
             raise
         raise FindingError(path.name, Finding("file_time_header")) from None
-    return stated + to_middle, image, bayer
-
-
-def _stated_time(path: Path, rules: TimeRules) -> datetime:
-    beside = path.with_suffix(".json")
-    names = [name_text(beside.name)] if is_regular(beside) else []
-    return timed_picture(Folder(name_text(path.parent)), name_text(path.name), rules, names=names).time
 
 
 def _require_size(name: str, found: tuple[int, int], size: tuple[int, int] | None) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from sunarc.common.array_types import FloatArray, Image
 from sunarc.common.errors import InputError
+from sunarc.common.findings import Finding, FindingError
 from sunarc.common.foreign_files import name_text, read_regular
 from sunarc.optics.camera import inside_image
 
@@ -33,24 +34,14 @@ def read_lines(path: Path) -> list[str]:
 
 
 def read_image(path: Path) -> Image:
-    """Read an image file as it is, 8 or 16 bit."""
-    from sunarc.imaging.preview import decoded  # noqa: PLC0415 - a file of numbers is read without OpenCV
-    from sunarc.sources.image_files import fits_image, kind_of  # noqa: PLC0415
+    """Return the image of a file, the first one of several, as it is stored; InputError where it cannot be used."""
+    from sunarc.sources.image_files import image_of  # noqa: PLC0415 - a file of numbers is read without OpenCV
+    from sunarc.sources.sources import Folder  # noqa: PLC0415
 
-    if kind_of(path.name) == "fits":
-        return fits_image(read_file(path), name_text(path), size=None)
-    image = decoded(read_file(path))
-    if image is not None and image.ndim == 3 and image.shape[2] == 4:
-        image = image[..., :3]  # what is seen through is of no interest
-    if image is not None and image.dtype == np.uint8:
-        return image.astype(np.uint8)
-    if image is not None and image.dtype == np.uint16:
-        return image.astype(np.uint16)
-    raise InputError(
-        field=name_text(path),
-        problem="is not an image of 8 or 16 bits",
-        remedy="give a whole PNG, JPEG, TIFF or FITS file",
-    )
+    found = image_of(Folder(name_text(path.parent)), name_text(path.name))
+    if isinstance(found, Finding):
+        raise FindingError(name_text(path), found)
+    return found
 
 
 _BEYOND_PX = 1.0

@@ -19,15 +19,10 @@ from PIL import Image as Pictures
 from sunarc.common.errors import InputError
 from sunarc.common.findings import Finding, FindingError
 from sunarc.common.utc import parse_time, utc_time
-from sunarc.sources.image_files import (
-    FileImage,
-    ImageSource,
-    content_of,
-    document_in,
-    frames_in,
-    kind_of,
-)
+from sunarc.sources.file_kinds import kind_of, stem_of
+from sunarc.sources.image_files import document_in, frames_in
 from sunarc.sources.name_times import NamedTime, is_of_images, no_time_finding, time_in_name, zone_of
+from sunarc.sources.source_files import FileImage, ImageSource, content_of
 
 _EXPOSURE = re.compile(r"_(\d+(?:\.\d+)?)us(?![a-zA-Z])")
 
@@ -128,7 +123,7 @@ def exif_time(file: BinaryIO) -> datetime | None:
 
 
 _MOBOTIX, _MOBOTIX_FIELD = b"PRD=MOBOTIX", re.compile(rb"^(DAT|TIM|TZN|TIT)=([^\r\n]{1,40})\r?$", re.MULTILINE)
-_HEADER_FAMILIES = {"fits": "FITS header", "netcdf": "NetCDF time", "video": "video"}
+HEADER_FAMILIES = {"netpbm": "PGM header", "fits": "FITS header", "netcdf": "NetCDF time", "video": "video"}
 
 
 class TimeRules(NamedTuple):
@@ -147,6 +142,11 @@ class TimeRules(NamedTuple):
 
 ASSUMED_UTC = TimeRules(offset=timedelta(0), documents=True, is_offset_assumed=True)
 """Times without a zone are UTC unless stated."""
+
+
+def sidecar_of(name: str) -> str:
+    """Return the name of the JSON file that may stand beside a file."""
+    return stem_of(name) + ".json"
 
 
 class TimedFrame(NamedTuple):
@@ -182,10 +182,13 @@ def timed_frames(source: ImageSource, name: str, rules: TimeRules, *, names: Col
     kind, path = kind_of(name), PurePosixPath(name)
     if kind == "picture":
         return [timed_picture(source, name, rules, names=names)]
-    sidecar_name = path.with_suffix(".json").as_posix()
+    sidecar_name = sidecar_of(name)
     frames = frames_in(source, name, sidecar=lambda: source.read(sidecar_name) if sidecar_name in names else None)
+    if len(frames) == 1 and kind in {"netpbm", "fits"} and (rules.pattern is not None or frames[0].time is None):
+        frame = timed_picture(source, name, rules, names=names)
+        return [frame._replace(exposure_us=frames[0].exposure_us or frame.exposure_us)]
     named = time_in_name(path.name)
-    family = _HEADER_FAMILIES[str(kind)]
+    family = HEADER_FAMILIES[str(kind)]
     return [_in_range(_of_header(frame, name, named, rules, family=family), name) for frame in frames]
 
 
@@ -203,7 +206,7 @@ def timed_picture(source: ImageSource, name: str, rules: TimeRules, *, names: Co
 
 def _timed_picture(source: ImageSource, name: str, rules: TimeRules, *, names: Collection[str]) -> TimedFrame:
     path = PurePosixPath(name)
-    sidecar_name = path.with_suffix(".json").as_posix()
+    sidecar_name = sidecar_of(name)
     named = time_in_name(path.name)
     prefix = "" if named is None else named.prefix
     if rules.pattern is not None:
@@ -229,7 +232,7 @@ def _of_document(source: ImageSource, name: str) -> datetime | None:
 def _by_pattern(path: PurePosixPath, rules: TimeRules, prefix: str) -> TimedFrame:
     pattern = str(rules.pattern)
     try:
-        time = datetime.strptime("/".join(path.with_suffix("").parts[-1 - pattern.count("/") :]), pattern)  # noqa: DTZ007 - the zone follows
+        time = datetime.strptime("/".join(PurePosixPath(stem_of(str(path))).parts[-1 - pattern.count("/") :]), pattern)  # noqa: DTZ007 - the zone follows
     except (ValueError, OverflowError):
         raise FindingError(path.name, Finding("file_time_pattern", {"pattern": pattern})) from None
     if time.tzinfo is not None:

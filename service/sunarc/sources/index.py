@@ -26,10 +26,12 @@ from sunarc.sky.days import solar_date
 from sunarc.sky.site import Site
 from sunarc.sky.sun import DARK_ZENITH_DEG, sun_angles
 from sunarc.sources.detect_files import Method
+from sunarc.sources.file_kinds import ONE_IMAGE, is_derived, kind_of, unread_finding
 from sunarc.sources.files import read_file
-from sunarc.sources.image_files import ImageSource, SourceFile, image_size, kind_of
+from sunarc.sources.image_files import UPRIGHT, image_size, orientation_of
 from sunarc.sources.image_key import ImageKey, image_key
 from sunarc.sources.image_times import TimedFrame, TimeRules, timed_frames, utc_offset_of
+from sunarc.sources.source_files import ImageSource, SourceFile
 from sunarc.sources.sources import hash_of, open_source
 
 ReportProgress = Callable[[str, int, int], None]
@@ -149,6 +151,7 @@ class CameraImages:
     family : what states the times.
     size : width and height of its images, px.
     nights : those of the night (the sun 12 degrees below the horizon or deeper), in the order of time and name.
+    findings : about its files.
     """
 
     plan: CameraPlan
@@ -157,10 +160,15 @@ class CameraImages:
     family: str
     size: tuple[int, int]
     nights: tuple[ArchiveImage, ...] = ()
+    findings: tuple[Finding, ...] = ()
 
 
-_SIZES_READ = 40
-"""Images of a camera whose size is read: most of them have that of the camera."""
+_SAMPLED = 40
+"""Images of a camera whose header is read: most of them have the size and orientation of the camera."""
+_OTHER_SIZE = 0.1
+"""Share of these that has another size, from which all are read: the picture was resized on some day."""
+_FEWEST_OF_SIZE = 5
+"""Images of a size that are analysed as a camera of their own."""
 _MOST_COPIES = 0.2
 """Share of a camera's images beside others of the same name and time, from which they are those of two cameras."""
 
@@ -204,13 +212,48 @@ def index_archive(plans: Sequence[CameraPlan]) -> Indexed:
             by_prefix[one.frame.prefix].append(one)
         for prefix, members in sorted(by_prefix.items()):
             named = plan if len(by_prefix) == 1 else replace(plan, name=_camera_name(plan.name, prefix, taken))
-            taken.add(named.name)
-            _add(indexed, named, members)
+            for sized, of_size, notes in _by_size(named, members, taken):
+                taken.add(sized.name)
+                _add(indexed, sized, of_size, notes)
         if not found:
             unmatched = Finding("camera_without_files", {"files": plan.selector.files})
             indexed.refused.append(Failure(plan.name, Finding("camera_without_images") if failed else unmatched))
     indexed.failures.sort(key=lambda failure: (failure.file, failure.finding.code))
     return indexed
+
+
+def _by_size(
+    plan: CameraPlan, members: list[_Found], taken: Container[str]
+) -> Iterator[tuple[CameraPlan, list[_Found], tuple[Finding, ...]]]:
+    """Yield images by their size where that changed, the most frequent one first; each is a camera with its own lens.
+
+    Images of a size that hardly any has stay with the first, which refuses them.
+    """
+    some = _sampled([one.image for one in members])
+    sampled = Counter(map(_size_of, some))
+    others = [size for size, n in sampled.most_common()[1:] if size is not None and n >= _OTHER_SIZE * len(some)]
+    if plan.image_size is not None or not others:
+        yield plan, members, ()
+        return
+    of_size: dict[tuple[int, int] | None, list[_Found]] = defaultdict(list)
+    for one in members:
+        of_size[_size_of(one.image)].append(one)
+    large = {size: found for size, found in of_size.items() if size is not None and len(found) >= _FEWEST_OF_SIZE}
+    if not large:
+        yield plan, members, ()
+        return
+    usual, *rest = sorted(large, key=lambda size: -len(large[size]))
+    changed = tuple(_resized(size, large[size]) for size in rest)
+    few = [one for size, found in of_size.items() if size not in large for one in found]
+    yield replace(plan, image_size=usual), [*large[usual], *few], changed
+    for size, finding in zip(rest, changed, strict=True):
+        name = new_camera_name(f"{plan.name}-{finding.data['width']}x{finding.data['height']}", taken=taken)
+        yield replace(plan, name=name, image_size=size), large[size], (finding,)
+
+
+def _resized(size: tuple[int, int], found: Sequence[_Found]) -> Finding:
+    first = rfc3339(min(one.frame.time for one in found), timespec="seconds")
+    return Finding("image_size_changed", {"n": len(found), "width": size[0], "height": size[1], "first": first})
 
 
 def _camera_name(name: str, prefix: str, taken: Container[str]) -> str:
@@ -250,7 +293,16 @@ def index_folder(plan: CameraPlan) -> tuple[CameraImages, list[Failure]]:
         *((one.path, finding) for one, finding in parts.dusk),
     ]
     size = plan.image_size or _usual_size(parts.day) or (0, 0)
-    camera = CameraImages(plan=plan, images=parts.day, example=("", ""), family="", size=size, nights=parts.night)
+    orientation = _orientation(parts.day)
+    camera = CameraImages(
+        plan=plan,
+        images=parts.day,
+        example=("", ""),
+        family="",
+        size=size,
+        nights=parts.night,
+        findings=() if orientation is None else (orientation,),
+    )
     return camera, [Failure(path, finding) for path, finding in left_out]
 
 
@@ -262,7 +314,11 @@ def _found(plan: CameraPlan) -> tuple[list[_Found], list[tuple[str, str, Finding
         files = list(source.files())
         names = {file.name for file in files}
         for file in files:
-            if kind_of(file.name) is None or not plan.selector.takes(file.name):
+            if not plan.selector.takes(file.name) or is_derived(file.name):
+                continue
+            if kind_of(file.name) is None:
+                unread = unread_finding(file.name)
+                failed += [] if unread is None else [(address, file.name, unread)]
                 continue
             try:
                 found += list(_timed(source, file, plan, names))
@@ -272,7 +328,7 @@ def _found(plan: CameraPlan) -> tuple[list[_Found], list[tuple[str, str, Finding
 
 
 def _timed(source: ImageSource, file: SourceFile, plan: CameraPlan, names: set[str]) -> Iterator[_Found]:
-    if file.size > MOST_BYTES and kind_of(file.name) in {"picture", "fits"}:
+    if file.size > MOST_BYTES and kind_of(file.name) in ONE_IMAGE:
         raise FindingError(file.name, Finding("file_too_large", {"bytes": file.size, "most": MOST_BYTES}))
     for frame in timed_frames(source, file.name, plan.rules, names=names):
         time_us = to_microseconds(frame.time)
@@ -280,7 +336,7 @@ def _timed(source: ImageSource, file: SourceFile, plan: CameraPlan, names: set[s
         yield _Found(ArchiveImage(time_us, file.name, frame.number, source.address, frame.exposure_us, stamp), frame)
 
 
-def _add(indexed: Indexed, plan: CameraPlan, members: list[_Found]) -> None:
+def _add(indexed: Indexed, plan: CameraPlan, members: list[_Found], notes: tuple[Finding, ...]) -> None:
     """Add a camera with its images by day, or the reason why it has none."""
     images, copies = _single(sorted(one.image for one in members))
     if len(copies) > _MOST_COPIES * len(members):
@@ -307,11 +363,19 @@ def _add(indexed: Indexed, plan: CameraPlan, members: list[_Found]) -> None:
     if size is None:
         indexed.refused.append(Failure(plan.name, Finding("camera_without_images")))
         return
-    first = members[0]
+    first, orientation = members[0], _orientation(by_day)
     example = (first.image.name, rfc3339(first.frame.time, timespec="seconds"))
     families = Counter(one.frame.family for one in members).most_common(1)
     indexed.cameras.append(
-        CameraImages(plan=plan, images=by_day, example=example, family=families[0][0], size=size, nights=parts.night)
+        CameraImages(
+            plan=plan,
+            images=by_day,
+            example=example,
+            family=families[0][0],
+            size=size,
+            nights=parts.night,
+            findings=notes if orientation is None else (orientation, *notes),
+        )
     )
 
 
@@ -380,10 +444,27 @@ def _copy_of(copy: ArchiveImage) -> Finding:
 
 def _usual_size(images: Sequence[ArchiveImage]) -> tuple[int, int] | None:
     """Return the size (width, height) that most of some images have; None where none can be read."""
-    some = images[:: len(images) // _SIZES_READ + 1]
-    sizes = (image_size(open_source(one.address), one.file, one.number) for one in some)
-    counted = Counter(size for size in sizes if size is not None)
+    counted = Counter(size for size in map(_size_of, _sampled(images)) if size is not None)
     return counted.most_common(1)[0][0] if counted else None
+
+
+def _sampled(images: Sequence[Taken]) -> Sequence[Taken]:
+    return images[:: len(images) // _SAMPLED + 1]
+
+
+def _size_of(image: ArchiveImage) -> tuple[int, int] | None:
+    return image_size(open_source(image.address), image.file, image.number)
+
+
+def _orientation(images: Sequence[ArchiveImage]) -> Finding | None:
+    """Return the orientation that EXIF states of a camera's images; None where it is upright."""
+    some = _sampled(images)
+    turned = Counter(orientation_of(open_source(one.address), one.file) for one in some)
+    upright = turned.pop(UPRIGHT, 0)
+    if not turned:
+        return None
+    stated = turned.most_common(1)[0][0]
+    return Finding("file_rotated", {"orientation": stated, "n": len(some) - upright, "of": len(some)})
 
 
 _NUMBERS = ("latitude", "longitude", "altitude")

@@ -19,7 +19,8 @@ from typing import Any, NamedTuple
 from sunarc.common.errors import InputError, OutsideError
 from sunarc.common.extras import extra_module
 from sunarc.common.foreign_files import name_path, name_text, open_regular, read_regular
-from sunarc.sources.image_files import ImageSource, SourceFile, kind_of
+from sunarc.sources.file_kinds import kind_of
+from sunarc.sources.source_files import ImageSource, SourceFile
 
 
 def open_source(address: str) -> ImageSource:

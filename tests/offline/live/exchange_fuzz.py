@@ -31,7 +31,7 @@ from sunarc.imager.live.rtsp import RtspClient
 from sunarc.imager.live.snapshots import SnapshotClient
 from sunarc.imager.runtime.clock import VirtualClock
 from sunarc.sky.days import solar_date
-from sunarc.sources.image_files import kind_of
+from sunarc.sources.file_kinds import kind_of
 from sunarc.sources.image_times import TimeRules, timed_frames
 from sunarc.sources.sources import Folder
 

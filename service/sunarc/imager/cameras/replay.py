@@ -18,9 +18,9 @@ from sunarc.common.foreign_files import read_regular
 from sunarc.imager.cameras.frame import CameraCondition, CameraInfo, Frame, full_scale_of
 from sunarc.imager.cameras.options import ReplayOptions
 from sunarc.imaging.preview import decoded
+from sunarc.sources.file_kinds import kind_of
 from sunarc.sources.image_times import exposure_of_name
 
-_SUFFIXES = {".png", ".jpg", ".jpeg", ".tif", ".tiff"}
 _TIME = re.compile(r"(?<!\d)(\d{8}T\d{6})(\.\d{1,6})?Z")
 
 
@@ -85,7 +85,7 @@ class ReplayCamera:
     def _dated_files(self) -> list[tuple[datetime, float, Path]]:
         dated = []
         for path in sorted(self._options.folder.rglob("*")):
-            if path.suffix.lower() not in _SUFFIXES:
+            if kind_of(path.name) != "picture":
                 continue
             time, exposure_us = time_of_name(path.name), exposure_of_name(path.name) or self._options.exposure_us
             if time is None:

@@ -20,9 +20,11 @@ from sunarc.imaging.preview import preview
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles
 from sunarc.sources.detect_files import detect_in_image
-from sunarc.sources.image_files import ImageSource, image_of, kind_of
+from sunarc.sources.file_kinds import is_derived, kind_of
+from sunarc.sources.image_files import image_of
 from sunarc.sources.image_times import TimeRules, timed_frames
 from sunarc.sources.name_times import time_in_name
+from sunarc.sources.source_files import ImageSource
 
 _NUMBER = r"\d+(?:[.,]\d+)?"
 _ANGLE = re.compile(
@@ -131,7 +133,7 @@ def try_pictures(
     most : number of pictures that are looked at.
     on_image : called with the first picture that can be read, and its image.
     """
-    every_picture = [name for name in names if kind_of(name) is not None]
+    every_picture = [name for name in names if kind_of(name) is not None and not is_derived(name)]
     pictures = [name for name in every_picture if time_in_name(PurePosixPath(name).name) is not None] or every_picture
     chosen = [len(pictures) - 1, *(int(len(pictures) * ((k * _GOLDEN) % 1.0)) for k in range(1, most))]
     every, shown = frozenset(names), False

@@ -25,8 +25,8 @@ from sunarc.imager.settings.model import Settings
 from sunarc.imager.workers.calibrating.solver_process import ChildControl, SolveFailedError, SolverDiedError, in_child
 from sunarc.imager.workers.clock_watch import FrameTime
 from sunarc.sky.days import solar_date
-from sunarc.sources.image_files import SourceFile
 from sunarc.sources.image_times import TimeRules
+from sunarc.sources.source_files import SourceFile
 
 _log = logging.getLogger(__name__)
 _LOOK_S = 2.0

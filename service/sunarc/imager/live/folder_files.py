@@ -16,16 +16,11 @@ import watchfiles
 from sunarc.common.foreign_files import name_path, name_text, require_regular
 from sunarc.imager.runtime.clock import Clock
 from sunarc.imager.runtime.loop import Loop
-from sunarc.sources.image_files import SourceFile, kind_of
+from sunarc.sources.file_kinds import DERIVED_FOLDERS, ONE_IMAGE, is_derived, kind_of
+from sunarc.sources.source_files import SourceFile
 
 _log = logging.getLogger(__name__)
 logging.getLogger("watchfiles").setLevel(logging.WARNING)  # else each image is a line of the journal
-_KINDS = frozenset({"picture", "fits"})
-"""Of files that hold one image; others (NetCDF, videos) are archives, which `ingest` reads."""
-DERIVED = frozenset(
-    {"thumbnails", "thumbs", "keogram", "keograms", "startrails", "timelapse", "panoramas", "@eadir", "lost+found"}
-)
-"""Subfolders of what allsky, indi-allsky, file servers and file systems make beside the images."""
 _WITHOUT_EVENTS = frozenset(
     {"nfs", "nfs4", "cifs", "smb3", "smbfs", "9p", "afs", "ncpfs", "fuse.sshfs", "fuse.rclone", "fuse.s3fs", "virtiofs"}
 )
@@ -40,10 +35,7 @@ _LIST_S = 60.0
 
 def is_image(name: str, pattern: str) -> bool:
     """Return whether a file, by its path below the folder, is an image of the camera's."""
-    *folders, last = PurePosixPath(name).parts or ("",)  # the watched folder itself, which went away
-    if any(part.startswith(".") or part.lower() in DERIVED for part in folders) or last.startswith("."):
-        return False
-    return kind_of(last) in _KINDS and fnmatch.fnmatch(last, pattern)
+    return kind_of(name) in ONE_IMAGE and not is_derived(name) and fnmatch.fnmatch(PurePosixPath(name).name, pattern)
 
 
 class _Folder(NamedTuple):
@@ -145,7 +137,7 @@ class FolderListing:
 
 def _is_folder(entry: os.DirEntry[str]) -> bool:
     with suppress(OSError):
-        return entry.is_dir() and not entry.name.startswith(".") and entry.name.lower() not in DERIVED
+        return entry.is_dir() and not entry.name.startswith(".") and entry.name.lower() not in DERIVED_FOLDERS
     return False
 
 

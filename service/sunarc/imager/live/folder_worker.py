@@ -35,9 +35,9 @@ from sunarc.imager.workers.calibrating.monitor import LearnedCadence
 from sunarc.imager.workers.clock_watch import FrameTime
 from sunarc.sky.days import solar_date
 from sunarc.sky.sun import DARK_ZENITH_DEG
-from sunarc.sources import image_files
+from sunarc.sources import image_files, source_files
 from sunarc.sources.expected_sun import MOST_EXPOSURES
-from sunarc.sources.image_times import TimedFrame, timed_frames
+from sunarc.sources.image_times import TimedFrame, sidecar_of, timed_frames
 from sunarc.sources.index import at_night
 from sunarc.sources.name_times import time_in_name
 from sunarc.sources.sources import Folder, hash_of
@@ -48,7 +48,7 @@ _log = logging.getLogger(__name__)
 class _Dated(NamedTuple):
     """A file whose image has a time."""
 
-    file: image_files.SourceFile
+    file: source_files.SourceFile
     frame: TimedFrame
     content: str
 
@@ -113,7 +113,7 @@ class FolderWorker:
     cadence: LearnedCadence
     board: StatusRegistry
     night: DropOldestQueue[Frame] | None = None
-    archive_of: Callable[[Sequence[image_files.SourceFile]], None] = lambda _: None
+    archive_of: Callable[[Sequence[source_files.SourceFile]], None] = lambda _: None
     judge_again: Callable[[date], None] = lambda _: None
     look_again: Callable[[], None] = lambda: None
 
@@ -130,8 +130,8 @@ class FolderWorker:
         self._verdicts: dict[str, str] = {}
         self._ahead = AheadOfClock(self.clock)
         self._remembers = False
-        self._ready: dict[str, tuple[image_files.SourceFile, float]] = {}
-        self._late: dict[str, image_files.SourceFile] = {}
+        self._ready: dict[str, tuple[source_files.SourceFile, float]] = {}
+        self._late: dict[str, source_files.SourceFile] = {}
         self._n_in_hand = 0
         self._again: dict[str, float] = {}
         self._late_days: dict[date, float] = {}
@@ -197,7 +197,7 @@ class FolderWorker:
             if self._is_new(file):
                 self._settling.add(file, now_s)
 
-    def _present(self, names: Iterable[str]) -> Iterator[image_files.SourceFile]:
+    def _present(self, names: Iterable[str]) -> Iterator[source_files.SourceFile]:
         for name in names:
             with suppress(OSError):  # it is gone
                 yield folder_files.source_file(name, (self._root / name_path(name)).stat())
@@ -228,7 +228,7 @@ class FolderWorker:
             self.look_again()
         return False
 
-    def _newest_ready(self) -> dict[str, tuple[image_files.SourceFile, float]]:
+    def _newest_ready(self) -> dict[str, tuple[source_files.SourceFile, float]]:
         """Return some complete files, those that came last first: a live one does not wait for thousands of others."""
         names = heapq.nsmallest(_AT_ONCE, self._ready, key=lambda name: (-self._ready[name][1], name))
         names.sort(key=lambda name: (self._ready[name][1], name))
@@ -271,12 +271,12 @@ class FolderWorker:
         named = (time_in_name(PurePosixPath(one.file).name) for one in newest if one.code is None)
         self._usual = next((one.prefix for one in named if one is not None), None)
 
-    def _is_new(self, file: image_files.SourceFile) -> bool:
+    def _is_new(self, file: source_files.SourceFile) -> bool:
         name = file.name
         seen = self._stamps.get(name)
         return seen != file.stamp and name not in self._ready and name not in self._late and name not in self._again
 
-    def _first_listing(self, listed: Sequence[image_files.SourceFile], new: Sequence[image_files.SourceFile]) -> None:
+    def _first_listing(self, listed: Sequence[source_files.SourceFile], new: Sequence[source_files.SourceFile]) -> None:
         """Divide what is there at the start: the newest are live, few are late, many are an archive."""
         now = self.clock.now().timestamp()
         recent = [file for file in new if now - folder_files.changed_s(file) < _LIVE.total_seconds()]
@@ -295,7 +295,7 @@ class FolderWorker:
         )
         self._prune({file.name for file in listed})
 
-    def take_late(self, files: Iterable[image_files.SourceFile]) -> None:
+    def take_late(self, files: Iterable[source_files.SourceFile]) -> None:
         """Look at files behind the live ones."""
         self._late.update((file.name, file) for file in files)
 
@@ -309,22 +309,22 @@ class FolderWorker:
         except OutsideError as error:
             _log.warning("files that are gone are not forgotten: %s", error)
 
-    def _register(self, files: Sequence[image_files.SourceFile]) -> None:
+    def _register(self, files: Sequence[source_files.SourceFile]) -> None:
         if self.images.size is None and files:
             found = (image_files.image_size(self._source, file.name) for file in files[-_SIZES:])
             self.images.register(
-                [one for one in found if one is not None and one[0] * one[1] <= image_files.MOST_PIXELS]
+                [one for one in found if one is not None and one[0] * one[1] <= source_files.MOST_PIXELS]
             )
 
     # What is done with a file.
 
     def _take_files(
         self,
-        files: Sequence[image_files.SourceFile],
+        files: Sequence[source_files.SourceFile],
         heartbeat: Callable[[], None],
         *,
         live: bool,
-        since_s: dict[str, tuple[image_files.SourceFile, float]] | None = None,
+        since_s: dict[str, tuple[source_files.SourceFile, float]] | None = None,
     ) -> None:
         self._register(files)
         by_time: dict[datetime, list[_Dated]] = {}
@@ -357,7 +357,9 @@ class FolderWorker:
             return self._newest is None or time > self._newest[1] - _LIVE
         return time > self.frame_time.now() - _LIVE
 
-    def _awaits_more(self, members: Sequence[_Dated], since_s: dict[str, tuple[image_files.SourceFile, float]]) -> bool:
+    def _awaits_more(
+        self, members: Sequence[_Dated], since_s: dict[str, tuple[source_files.SourceFile, float]]
+    ) -> bool:
         """Put the exposures of an incomplete stack back, where stacks came before and the last one is not long ago."""
         now_s = self.clock.monotonic()
         oldest_s = min(since_s[one.file.name][1] for one in members)
@@ -367,27 +369,27 @@ class FolderWorker:
             self._ready[one.file.name] = (one.file, since_s[one.file.name][1])
         return True
 
-    def _dated(self, file: image_files.SourceFile) -> _Dated | None:
+    def _dated(self, file: source_files.SourceFile) -> _Dated | None:
         """Return a file with the time of its image; None where it is left out, which is written down."""
         name = file.name
         try:
             frame = self._timed(file)
             if self._is_doubtful(file, frame.time):
                 return None
-            content = hash_of(image_files.content_of(self._source, name))
+            content = hash_of(source_files.content_of(self._source, name))
         except FindingError as error:
             self._refuse(file, self._as_latest(name, error.finding))
             return None
         except OSError as error:
-            self._refuse(file, Finding(image_files.NOT_READ, {"error": error.strerror or str(error)}))
+            self._refuse(file, Finding(source_files.NOT_READ, {"error": error.strerror or str(error)}))
             return None
         return _Dated(file, frame, content)
 
-    def _timed(self, file: image_files.SourceFile) -> TimedFrame:
+    def _timed(self, file: source_files.SourceFile) -> TimedFrame:
         """Return when the image of a file was taken; FindingError where that cannot be."""
         if file.size > MOST_BYTES:
             raise FindingError(file.name, Finding("file_too_large", {"bytes": file.size, "most": MOST_BYTES}))
-        sidecar = PurePosixPath(file.name).with_suffix(".json").as_posix()
+        sidecar = sidecar_of(file.name)
         names = {sidecar} if is_regular(self._root / name_path(sidecar)) else set[str]()
         frame = timed_frames(self._source, file.name, self._rules, names=names)[0]
         ahead_s = (frame.time - self.frame_time.now()).total_seconds()
@@ -398,7 +400,7 @@ class FolderWorker:
             raise FindingError(file.name, Finding("file_time_future", {"ahead_s": ahead_s}))
         return frame
 
-    def _is_doubtful(self, file: image_files.SourceFile, time: datetime) -> bool:
+    def _is_doubtful(self, file: source_files.SourceFile, time: datetime) -> bool:
         """Return whether an image was ahead of a clock that no file's change shows to have been years behind."""
         behind_s = time.timestamp() - folder_files.changed_s(file)
         return self._verdicts.pop(file.name, "") == FUTURE and behind_s < _YEARS_S
@@ -495,7 +497,7 @@ class FolderWorker:
         if self._usual is None or is_gone:
             self._usual = prefix
 
-    def _may_grow(self, file: image_files.SourceFile) -> bool:
+    def _may_grow(self, file: source_files.SourceFile) -> bool:
         return self.clock.now().timestamp() - folder_files.changed_s(file) < _HALF_WRITTEN_S
 
     def _noted(self, time: datetime, new: Sequence[_Dated], *, live: bool) -> None:
@@ -519,12 +521,12 @@ class FolderWorker:
         for one in members:
             self._again[one.file.name] = self.clock.monotonic() + _AGAIN_S
 
-    def _refuse(self, file: image_files.SourceFile, finding: Finding, dated: _Dated | None = None) -> None:
+    def _refuse(self, file: source_files.SourceFile, finding: Finding, dated: _Dated | None = None) -> None:
         if finding.code == _TRUNCATED and self._may_grow(file):
             self._again[file.name] = self.clock.monotonic() + _AGAIN_S
             return
         self._left_out.note(file.name, finding)
-        if finding.code == image_files.NOT_READ:
+        if finding.code == source_files.NOT_READ:
             self._again[file.name] = self.clock.monotonic() + _AGAIN_S
             return
         self._write(file, dated, finding.code)
@@ -532,7 +534,7 @@ class FolderWorker:
     def _seen(self, one: _Dated) -> None:
         self._write(one.file, one, None)
 
-    def _write(self, file: image_files.SourceFile, dated: _Dated | None, code: str | None) -> None:
+    def _write(self, file: source_files.SourceFile, dated: _Dated | None, code: str | None) -> None:
         """Write a file down as seen; after its sightings, so that a process that dies between looks at it again."""
         seen = SeenFile(
             camera=self.camera.name,

@@ -16,11 +16,11 @@ import cv2
 
 from sunarc.common.findings import Finding
 from sunarc.imager.cameras.options import RtspOptions, SnapshotOptions
-from sunarc.imager.live.snapshots import PictureClient, Snapshot, SnapshotClient
+from sunarc.imager.live.snapshots import PictureClient, Snapshot, SnapshotClient, png_of
 from sunarc.imager.runtime.clock import Clock
 from sunarc.imager.workers import http_exchange
 from sunarc.imager.workers.options import read_login
-from sunarc.sources.image_files import MOST_PIXELS
+from sunarc.sources.source_files import MOST_PIXELS
 
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # frames that are joined in the middle are no errors
 _PORT = 554
@@ -136,7 +136,7 @@ class RtspClient:
             is_whole, frame = stream.retrieve()
             if is_whole and stream.get(cv2.CAP_PROP_LRF_HAS_KEY_FRAME) > 0.0:
                 half_s = (ended_s - began_s) / 2.0
-                return Snapshot(_png(frame), "png", self.clock.now() - timedelta(seconds=half_s), half_s)
+                return Snapshot(png_of(frame), "png", self.clock.now() - timedelta(seconds=half_s), half_s)
         return self._none("no key frame")
 
     def _none(self, why: str) -> Finding:
@@ -180,8 +180,3 @@ def _opened(address: str, timeout_s: float) -> Iterator[cv2.VideoCapture]:
         yield stream
     finally:
         stream.release()
-
-
-def _png(frame: cv2.typing.MatLike) -> bytes:
-    """Return a frame without a second loss; compressed little, for speed."""
-    return cv2.imencode(".png", frame, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()

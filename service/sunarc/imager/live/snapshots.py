@@ -15,10 +15,11 @@ from email.utils import parsedate_to_datetime
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
+import cv2
 from PIL import Image as Pictures
 
 from sunarc.common.errors import ConfigurationError, InputError, OutsideError
-from sunarc.common.findings import Finding
+from sunarc.common.findings import Finding, FindingError
 from sunarc.common.foreign_files import name_text
 from sunarc.imager.archive.images import ImageStore, write_atomically
 from sunarc.imager.cameras.frame import Frame
@@ -33,15 +34,17 @@ from sunarc.imager.workers.capture import NOT_WRITTEN
 from sunarc.imager.workers.clock_watch import FrameTime
 from sunarc.imager.workers.options import CaptureOptions, read_login
 from sunarc.sky.sun import DARK_ZENITH_DEG
-from sunarc.sources.image_files import MOST_PIXELS, image_of, image_size
+from sunarc.sources.image_files import FORMATS, checked_image, image_of, image_size
 from sunarc.sources.image_times import exif_time
 from sunarc.sources.name_times import is_of_images
+from sunarc.sources.source_files import MOST_PIXELS
 from sunarc.sources.sources import Folder, hash_of
 
 _log = logging.getLogger(__name__)
 _MOST_BYTES = 32_000_000
 _MOST_REDIRECTS = 3
-_SUFFIXES = {"JPEG": "jpg", "MPO": "jpg", "PNG": "png"}
+_KEPT = {"JPEG": "jpg", "MPO": "jpg", "PNG": "png"}
+"""Formats of pictures that are kept as they come, with their suffixes; others become PNG."""
 _REDIRECTS = frozenset({301, 302, 303, 307, 308})
 _STALE_S = 60.0
 """A picture that is older is not one of the moment of the request."""
@@ -132,17 +135,19 @@ class SnapshotClient:
     def _checked(self, answer: http_exchange.HttpAnswer, time: datetime, half_s: float) -> Snapshot | Finding:
         content = answer.body
         try:
-            with Pictures.open(io.BytesIO(content), formats=("JPEG", "PNG")) as picture:
-                (width, height), suffix = picture.size, _SUFFIXES[str(picture.format)]
+            with Pictures.open(io.BytesIO(content), formats=(*FORMATS, "PPM")) as picture:
+                (width, height), suffix = picture.size, _KEPT.get(str(picture.format), "")
+            if not suffix and width * height <= MOST_PIXELS:
+                content, suffix = png_of(checked_image(content, self.host)), "png"
         except Pictures.DecompressionBombError:
             width = height = 1 << 16
             suffix = ""
-        except (OSError, ValueError, SyntaxError, KeyError):
+        except (OSError, ValueError, SyntaxError, FindingError):
             kind = answer.headers.get("content-type", "no content type").partition(";")[0]
             return Finding("http_no_picture", {"host": self.host, "why": f"{len(content)} bytes of {kind}"})
         if width * height > MOST_PIXELS:
             return Finding("http_too_many_pixels", {"width": width, "height": height, "most": MOST_PIXELS})
-        age_s = _age_s(answer.headers, content, time)
+        age_s = _age_s(answer.headers, answer.body, time)
         if age_s > _STALE_S:
             return Finding("http_stale", {"age_s": age_s})
         if not self._dated_by_camera:
@@ -152,6 +157,11 @@ class SnapshotClient:
             why = "no Last-Modified, which dates it where capture.speed is set"
             return Finding("http_no_picture", {"host": self.host, "why": why})
         return Snapshot(content, suffix, stated, 0.0)
+
+
+def png_of(image: cv2.typing.MatLike) -> bytes:
+    """Return an image without a loss; compressed little, for speed."""
+    return cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
 
 
 def _redirected(url: urllib.parse.SplitResult, location: str) -> urllib.parse.SplitResult | str:

@@ -1,0 +1,232 @@
+"""Files of many images: PGM and PPM one behind the other, NetCDF-4, and HDF5 of TREx's colour cameras."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple
+
+import numpy as np
+
+from sunarc.common.array_types import Image
+from sunarc.common.errors import InputError
+from sunarc.common.extras import extra_module
+from sunarc.common.findings import Finding, FindingError
+from sunarc.common.foreign_files import open_regular
+from sunarc.common.utc import DAY_S, parse_time
+from sunarc.sources.source_files import MOST_PIXELS, FileImage, refusing, require_size, unreadable
+
+# PGM and PPM (https://netpbm.sourceforge.net/doc/pgm.html): a file may hold several, each with comments in its header.
+
+NETPBM = (b"P5", b"P6")
+"""What files of binary counts begin with."""
+_SPACE = rb"(?:\s|#[^\n]*\n)+"
+_HEADER = re.compile(
+    rb"P(?P<magic>[56])(?P<comments>" + _SPACE + rb")(?P<width>\d{1,6})" + _SPACE + rb"(?P<height>\d{1,6})" + _SPACE
+    + rb"(?P<top>\d{1,5})\s"
+)  # fmt: skip
+_PART, _MOST_HEADER = 512, 1 << 14
+_MOST_IMAGES = 10_000
+"""Of a file: a damaged one has no end."""
+_REQUEST = re.compile(rb'#"Image request start"\s+([^\n]*)\n')
+_EXPOSURE = re.compile(rb'#"(?:Subframe requested exposure|Effective image exposure)"\s+([\d.]{1,12})\s*ms')
+"""Comments of the aurora imagers of the University of Calgary (THEMIS, REGO, TREx)."""
+
+
+def netpbm_frames(file: BinaryIO, name: str) -> list[FileImage]:
+    """Return the images of a PGM or PPM file, with the times that aurora imagers write into their headers.
+
+    Raises
+    ------
+    FindingError : it is none, ends within an image, or has several that state no times.
+    """
+    frames = [_stated_frame(number, header["comments"]) for number, (header, _) in enumerate(_parts(file, name))]
+    if len(frames) > 1 and any(one.time is None for one in frames):
+        raise FindingError(name, Finding("file_animated", {"frames": len(frames)}))
+    return frames
+
+
+def netpbm_images(
+    file: BinaryIO, name: str, numbers: Sequence[int], *, size: tuple[int, int] | None
+) -> Iterator[tuple[int, Image]]:
+    """Yield images of a PGM or PPM file by their numbers."""
+    for number, (header, image) in enumerate(_parts(file, name)):
+        if number in numbers:
+            require_size(image.shape, name, size)
+            if header["magic"] == b"6":  # RGB
+                image[..., [0, 2]] = image[..., [2, 0]]
+            yield number, image
+        if number == max(numbers):
+            return
+    raise FindingError(name, Finding("file_truncated"))
+
+
+def _parts(file: BinaryIO, name: str) -> Iterator[tuple[re.Match[bytes], Image]]:
+    """Yield each image with its header; what follows the last one and is no image is passed over."""
+    left = b""
+    for number in range(_MOST_IMAGES):
+        while (header := _HEADER.match(left)) is None and len(left) < _MOST_HEADER and (more := file.read(_PART)):
+            left += more
+        if header is None and number == 0:
+            raise unreadable(name, "no PGM or PPM of binary counts")
+        if header is None:
+            return
+        image = _empty(header, name)
+        pixels = image.reshape(-1).view(np.uint8).data
+        have = left[header.end() : header.end() + len(pixels)]
+        pixels[: len(have)] = have
+        if len(have) + file.readinto(pixels[len(have) :]) < len(pixels):  # type: ignore[attr-defined] # both files have it
+            raise FindingError(name, Finding("file_truncated"))
+        left = left[header.end() + len(have) :]
+        yield header, image.byteswap(inplace=True) if image.dtype == np.uint16 else image
+
+
+def _empty(header: re.Match[bytes], name: str) -> Image:
+    """Return room for the image of a header: rows, columns and three colours of a PPM."""
+    rows, columns, top = int(header["height"]), int(header["width"]), int(header["top"])
+    if not 1 <= top < 1 << 16 or 0 in {rows, columns}:
+        raise unreadable(name, "its header states no image")
+    if rows * columns > 2 * MOST_PIXELS:
+        raise FindingError(name, Finding("file_too_many_pixels", {"most": 2 * MOST_PIXELS}))
+    shape = (rows, columns, 3) if header["magic"] == b"6" else (rows, columns)
+    return np.empty(shape, np.uint8) if top <= np.iinfo(np.uint8).max else np.empty(shape, np.uint16)
+
+
+def _stated_frame(number: int, comments: bytes) -> FileImage:
+    requested, exposure = _REQUEST.search(comments), _EXPOSURE.search(comments)
+    try:
+        exposure_us = None if exposure is None else 1e3 * float(exposure[1]) or None
+        start = None if requested is None else _image_request(requested[1].decode(errors="replace"))
+    except ValueError:
+        return FileImage(number)
+    return FileImage(
+        number, None if start is None else start + timedelta(microseconds=0.5 * (exposure_us or 0.0)), exposure_us
+    )
+
+
+def _image_request(text: str) -> datetime:
+    """Return the beginning of an exposure as an aurora imager states it, as "2013-05-13 12:30:00.017 UTC"."""
+    return datetime.fromisoformat(text.strip().removesuffix("UTC").strip()).replace(tzinfo=UTC)
+
+
+# NetCDF-4 and HDF5.
+
+_COUNTS = {np.dtype(np.uint8), np.dtype(np.uint16)}
+_UNITS = re.compile(
+    r"^(\w+) since (\d{4}-\d{1,2}-\d{1,2})[T ]?(\d{1,2}:\d{2}(?::\d{2}(?:\.\d+)?)?)?\s*(Z|UTC|[+-]0?0:?00|0:00)?$"
+)
+_SECONDS = {"days": DAY_S, "hours": 3600.0, "minutes": 60.0, "seconds": 1.0, "milliseconds": 1e-3}
+
+
+class _Stack(NamedTuple):
+    """Images of a file: their times, their size (rows, columns), and what returns one by its number."""
+
+    times: Callable[[], list[datetime]]
+    shape: tuple[int, ...]
+    image: Callable[[int], Image]
+
+
+def netcdf_frames(file: Path | bytes, name: str) -> list[FileImage]:
+    """Return the images of a NetCDF file, with the times of their coordinate (CF conventions, section 4.4).
+
+    Raises
+    ------
+    FindingError : it is none, has no images, or no times in UTC.
+    """
+    with _hdf5_stack(file, name) as stack:
+        return [FileImage(number, time) for number, time in enumerate(stack.times())]
+
+
+def netcdf_images(
+    file: Path | bytes, name: str, numbers: Sequence[int], *, size: tuple[int, int] | None
+) -> Iterator[tuple[int, Image | Finding]]:
+    """Yield images of a NetCDF file by their numbers."""
+    with _hdf5_stack(file, name) as stack:
+        require_size(stack.shape, name, size)
+        for number in numbers:
+            yield number, stack.image(number)
+
+
+@contextmanager
+def _hdf5_stack(file: Path | bytes, name: str) -> Iterator[_Stack]:
+    """Open a file; by h5py first, since h5netcdf prints a trace of its own where that fails."""
+    hdf5, legacy = extra_module("h5py", extra="netcdf"), extra_module("h5netcdf", extra="netcdf")
+    with refusing(name, "no NetCDF-4 or HDF5 file by h5py"):
+        content = io.BytesIO(file) if isinstance(file, bytes) else open_regular(file)
+        with content, hdf5.File(content, "r") as raw:
+            if set(raw.get("data", ())) >= _TREX:
+                yield _trex_stack(raw["data"]["images"], raw["data"]["timestamp"])
+            else:
+                with legacy.File(raw, "r") as opened:
+                    yield _netcdf_stack(opened, name)
+
+
+_TREX = {"images", "timestamp"}
+_TREX_AXES = (2, 0, 1)
+
+
+def _trex_stack(images: Any, timestamps: Any) -> _Stack:  # noqa: ANN401 - h5py's data sets
+    """Return the images (rows, columns, 3[, time]) of a file of TREx's colour cameras, whose times are texts in UTC."""
+
+    def image(number: int) -> Image:
+        found = np.asarray(images[..., number] if images.ndim == 4 else images)
+        return np.ascontiguousarray(found[..., ::-1])  # RGB
+
+    def times() -> list[datetime]:
+        written = np.atleast_1d(timestamps[()])
+        return [_image_request(_text(one)) for one in written.tolist()]
+
+    if images.dtype not in _COUNTS or images.ndim not in {3, 4} or images.shape[2] != 3:
+        raise ValueError("no colours of 8 or 16 bits")
+    return _Stack(times, images.shape[:2], image)
+
+
+def _netcdf_stack(opened: Any, name: str) -> _Stack:  # noqa: ANN401 - h5netcdf's file
+    images = _netcdf_images(opened, name)
+
+    def image(number: int) -> Image:
+        found = np.asarray(images[number])
+        # RGB, as is usual in files for viewers, to OpenCV's order
+        return np.ascontiguousarray(found[..., ::-1]) if found.ndim == 3 else found
+
+    def times() -> list[datetime]:
+        coordinate = opened.variables[images.dimensions[0]]
+        begin, unit_s = _units(str(_text(coordinate.attrs.get("units", ""))), name)
+        values = np.asarray(coordinate[...], dtype=np.float64)
+        return [begin + timedelta(seconds=unit_s * float(value)) for value in values.tolist()]
+
+    return _Stack(times, images.shape[1:3], image)
+
+
+def _netcdf_images(opened: Any, name: str) -> Any:  # noqa: ANN401 - h5netcdf's variables
+    found = [
+        variable
+        for variable in opened.variables.values()
+        if variable.ndim in {3, 4}
+        and variable.dtype in _COUNTS
+        and variable.dimensions[0] in opened.variables
+        and (variable.ndim == 3 or variable.shape[-1] == 3)
+    ]
+    if not found:
+        raise unreadable(name, "no variable (time, rows, columns[, 3]) of 8 or 16 bits with its times")
+    return max(found, key=lambda variable: int(np.prod(variable.shape)))
+
+
+def _units(units: str, name: str) -> tuple[datetime, float]:
+    match = _UNITS.match(units.strip())
+    if match is None or match[1] not in _SECONDS:
+        raise FindingError(name, Finding("file_time_units", {"units": units}))
+    try:
+        year, month, day = (int(part) for part in match[2].split("-"))
+        clock = f"{match[3] or '00:00:00'}".zfill(5)
+        return parse_time(f"{year:04d}-{month:02d}-{day:02d}T{clock}Z", where=name).astimezone(UTC), _SECONDS[match[1]]
+    except (InputError, ValueError):
+        raise FindingError(name, Finding("file_time_units", {"units": units})) from None
+
+
+def _text(value: object) -> str:
+    return value.decode() if isinstance(value, bytes) else str(value)
