@@ -76,6 +76,10 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--clouds", default="clear", help="clear, veil, broken, overcast; several by commas: one a day")
     parser.add_argument("--keep", action="store_true", help="with --headless: go on serving")
     parser.add_argument("--nights", action="store_true", help="look at the stars in the nights, too")
+    parser.add_argument("--bump", type=float, metavar="DEG", help="turn the camera by so much, at the time --at")
+    parser.add_argument(
+        "--at", metavar="TIME", help=f"simulated time, as {FIRST_DAY}T18:00:00Z; at noon of the first day unless given"
+    )
     other = parser.add_mutually_exclusive_group()
     for source, what in (("folder", "a program writes pictures into a folder"), ("http", "a camera gives its picture")):
         other.add_argument(f"--{source}", dest="source", action="store_const", const=source, help=f"{what} instead")
@@ -252,6 +256,7 @@ def simulate_command(state: Path, options: argparse.Namespace) -> list[str]:
         *("--altitude", str(SITE["altitude"]), "--speed", str(options.speed)),
         *("--lens-seed", str(options.lens_seed), "--clouds", options.clouds, "--truth", str(state / "truth.json")),
         *(["--nights"] if options.nights else []),
+        *(["--bump", str(options.bump), "--at", options.at or f"{FIRST_DAY}T18:00:00Z"] if options.bump else []),
     ]
 
 

@@ -154,3 +154,33 @@ def test_a_direction_in_part_or_out_of_bounds_is_refused(cells: str, column: str
     with pytest.raises(InputError) as refused:
         read_sightings([header, f"2013-05-13T06:00:00Z,1,2,{cells}"], name="points.csv")
     assert refused.value.field.endswith(column)
+
+
+@pytest.mark.parametrize(
+    ("header", "row"),
+    [
+        (HEADER.replace(",", ";"), "2013-05-13T18:30:00Z;871,5;883,25;0,01;sun"),
+        (HEADER.replace(",", ";"), "2013-05-13T18:30:00,000Z;871.5;+883,25;1e-2;sun"),
+        (HEADER.replace(",", "\t"), "2013-05-13T18:30:00Z\t871,5\t883.25\t,01\tsun"),
+        ("\n\n" + HEADER, ROW),
+    ],
+)
+def test_the_dialects_of_spreadsheets_are_read_alike(header: str, row: str) -> None:
+    expected = read_sightings([HEADER, ROW], name="points.csv")
+    found = read_sightings(f"{header}\n{row}\n".splitlines(), name="points.csv")
+    assert found.pixels.tolist() == expected.pixels.tolist()
+    assert (found.unix_s.tolist(), found.sigma_px.tolist()) == (expected.unix_s.tolist(), expected.sigma_px.tolist())
+
+
+@pytest.mark.parametrize(
+    ("lines", "line"),
+    [
+        ([HEADER, "2013-05-13T18:30:00Z,871,5,883,25,0,01,sun"], 2),  # decimal commas between commas
+        ([HEADER.replace(",", ";"), "", "2013-05-13T18:30:00Z;1.871,5;883,25;0,01;sun"], 3),  # a point for thousands
+        ([HEADER.replace(",", " "), "2013-05-13T18:30:00Z 871.5 883.25 0.01 sun"], 1),
+    ],
+)
+def test_a_dialect_that_cannot_be_read_is_named_with_its_line(lines: list[str], line: int) -> None:
+    with pytest.raises(InputError) as refused:
+        read_sightings(lines, name="points.csv")
+    assert refused.value.field.startswith(f"points.csv, line {line}")

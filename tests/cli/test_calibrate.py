@@ -153,7 +153,7 @@ def test_real_detections_of_a_consumer_fisheye_fit_to_less_than_a_pixel(sunarc: 
     [
         (("--image-size", "big"), "--image-size: 'big' is not W,H"),
         (("--projection", "mercator"), "--projection: 'mercator' is unknown"),
-        (("--latitude", "136"), "latitude: 136.0 is not allowed"),
+        (("--latitude", "136"), "--latitude: '136' is beyond 90 degrees"),
         (("--mirrored", "perhaps"), "--mirrored: 'perhaps' is unknown"),
         (("--mirrored", "yes", "--mirrored", "no"), "--mirrored: given twice: yes, no"),
         (("--projection", "equisolid", "--projection", "equidistant"), "--projection: given twice"),
@@ -252,3 +252,60 @@ def test_the_field_is_shown_with_its_part_in_the_prediction(
     found = field_text({"amplitude_px": amplitude, "length_px": 420.0, "mean": mean})
     assert found.endswith(said)
     assert ("0.300 px over 420 px" in found) == (amplitude > 0.0)
+
+
+def test_an_accepted_calibration_is_written_and_a_refused_one_replaces_nothing(
+    sunarc: Sunarc, points: Path, tmp_path: Path
+) -> None:
+    target = tmp_path / "calibration.json"
+    assert sunarc("calibrate", str(points), *AT_SGP, "-o", str(target)).code == 0
+    written = json.loads(target.read_text())
+    assert written["verdict"]["accepted"]
+    points.write_text("\n".join(points.read_text().splitlines()[:40]))
+    refused = sunarc("calibrate", str(points), *AT_SGP, "-o", str(target))
+    assert refused.code == 1
+    assert str(target) in refused.err
+    assert json.loads(target.read_text()) == written
+
+
+def test_a_refused_fit_shows_no_number_of_a_camera_and_answers_only_who_asks_for_it(
+    sunarc: Sunarc, points: Path, tmp_path: Path
+) -> None:
+    points.write_text("\n".join(points.read_text().splitlines()[:40]))
+    document = sunarc("calibrate", str(points), *AT_SGP, "--json").out
+    shown = sunarc("calibrate", str(points), *AT_SGP).out
+    assert not any(
+        line.startswith(("focal", "principal", "phi", "1-sigma", "projection")) for line in shown.splitlines()
+    )
+    file, other = tmp_path / "refused.json", str(tmp_path / "camera.yml")
+    file.write_text(document)
+    for command in (("export", "--format", "opencv", "-o", other), ("unproject",), ("project",)):
+        pixels = "x_px,y_px\n800,800\n" if command[0] == "unproject" else "zenith_deg,azimuth_deg\n10,10\n"
+        asked = [*command, "--calibration", str(file)]
+        refusal = sunarc(*asked, stdin=pixels)
+        assert (refusal.code, refusal.out) == (2, "")
+        assert "--accept-refused" in refusal.err
+        assert sunarc(*asked, "--accept-refused", stdin=pixels).code == 0
+
+
+def test_the_site_is_given_as_written_or_by_the_settings(sunarc: Sunarc, points: Path, tmp_path: Path) -> None:
+    config = tmp_path / "sunarc.toml"
+    config.write_text("[site]\nlatitude = 36.604043\nlongitude = -97.484856\naltitude = 318.0\n")
+    by_settings = ("--config", str(config))
+    written = ("--latitude", "36°36'14.555\"N", "--longitude", "97 29 5.482 W", "--altitude", "318")
+    found = [
+        json.loads(sunarc("calibrate", str(points), *given, "--image-size", "1748,1748", "--json").out)["site"]
+        for given in (AT_SGP[:6], by_settings, written, (*by_settings, "--altitude", "300"))
+    ]
+    assert found[0] == found[1]
+    assert found[2]["latitude"] == pytest.approx(36.604043, abs=1e-6)
+    assert found[2]["longitude"] == pytest.approx(-97.484856, abs=1e-6)
+    assert found[3] == {**found[0], "altitude": 300.0}
+
+
+@pytest.mark.parametrize("angle", ["47°25'X", "96", "8E", "-47N"])
+def test_a_latitude_that_is_none_is_named(sunarc: Sunarc, points: Path, angle: str) -> None:
+    answer = sunarc("calibrate", str(points), "--latitude", angle, "--longitude", "1", "--image-size", "1748,1748")
+    assert answer.code == 2
+    assert answer.err.startswith("sunarc: --latitude: ")
+    assert "[angle_" in answer.err

@@ -27,11 +27,11 @@ from sunarc.common.findings import Finding, FindingError
 from sunarc.common.messages import message_of
 from sunarc.detection.values import Detection
 from sunarc.imager.checks import CheckResult, question_of, run_checks
-from sunarc.imager.commands.first_look import TriedPicture, judge_site, parse_angle
+from sunarc.imager.commands.first_look import TriedPicture, judge_site
 from sunarc.imager.runtime.clock import SystemClock
 from sunarc.imager.settings.load import load_settings
 from sunarc.lab.simulation.made_archive import encoded, photograph
-from sunarc.sky.site import Site
+from sunarc.sky.site import Site, parse_angle
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

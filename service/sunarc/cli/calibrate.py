@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar, get_args
 
@@ -13,13 +13,15 @@ from sunarc.calibration.model.options import CalibrationOptions, Mirrored
 from sunarc.calibration.stated_prior import PriorTolerances
 from sunarc.cli.options import (
     SITE,
-    Altitude,
     AsJson,
     ClockError,
     Config,
+    LatitudeIfGiven,
     LevelWithin,
+    LongitudeIfGiven,
     MirroredOption,
     ProjectionOption,
+    angles_of,
     parse_image_size,
     print_json,
     print_rows,
@@ -27,8 +29,9 @@ from sunarc.cli.options import (
     stated_once,
 )
 from sunarc.cli.owner import act_as_owner_of
-from sunarc.common.errors import InputError
+from sunarc.common.errors import InputError, disk_errors
 from sunarc.common.extras import require_extra
+from sunarc.common.json_text import json_text
 from sunarc.common.messages import significant
 from sunarc.formats.lens_prior import read_lens_type
 from sunarc.imager.runtime.clock import SystemClock
@@ -81,14 +84,13 @@ JointFile = Annotated[
     Path | None,
     typer.Option("--joint", metavar="SPEC.toml", help="Fit several cameras and epochs.", rich_help_panel=_PANEL),
 ]
-JointFolder = Annotated[
+Output = Annotated[
     Path | None,
     typer.Option(
         "--output",
         "-o",
         callback=act_as_owner_of,
-        help="Folder of the documents and the lens prior of --joint.",
-        rich_help_panel=_PANEL,
+        help="Write the calibration here, unless it is refused: a document (JSON); of --joint the folder of all.",
     ),
 ]
 
@@ -171,15 +173,19 @@ def calibrate(
         ),
     ] = None,
     *,
-    latitude: Annotated[float | None, typer.Option(help="Degrees, north positive.", rich_help_panel=SITE)] = None,
-    longitude: Annotated[float | None, typer.Option(help="Degrees, east positive.", rich_help_panel=SITE)] = None,
+    latitude: LatitudeIfGiven = None,
+    longitude: LongitudeIfGiven = None,
     image_size: Annotated[str | None, typer.Option(help="W,H in px.")] = None,
     image_circle: Annotated[
         str | None, typer.Option(help="X,Y,RADIUS in px, or a daytime image that shows it.")
     ] = None,
-    altitude: Altitude = 0.0,
+    altitude: Annotated[
+        float | None, typer.Option(help="Metres above sea level; 0 unless given.", rich_help_panel=SITE)
+    ] = None,
     pressure: Annotated[float | None, typer.Option(help="Pa; from the altitude unless given.")] = None,
-    temperature: Annotated[float, typer.Option(help="Annual mean, degrees Celsius.")] = 12.0,
+    temperature: Annotated[
+        float | None, typer.Option(help="Annual mean, degrees Celsius; 12 unless given.", show_default=False)
+    ] = None,
     projection: ProjectionOption = None,
     method: Annotated[str, typer.Option(help="robust or paper.")] = "robust",
     mirrored: MirroredOption = None,
@@ -214,7 +220,7 @@ def calibrate(
     lens_of: LensOf = None,
     unit_spread: SpreadText = None,
     joint: JointFile = None,
-    output: JointFolder = None,
+    output: Output = None,
     provisional: Annotated[
         bool,
         typer.Option(
@@ -235,9 +241,9 @@ def calibrate(
     With --provisional a fit is kept that is refused only for what its sightings do not determine.
 
     Without POINTS the accepted sightings of the archive are taken, and the result is stored there: site, lens and
-    limits come from the settings (--config).
+    limits come from the settings (--config). With POINTS, what is not given of the site comes from these settings.
 
-    Example: sunarc calibrate points.csv --latitude 36.6 --longitude -97.5 --altitude 318 --image-size 1748,1748
+    Example: sunarc calibrate points.csv --latitude 36.6 --longitude 97.5W --image-size 1748,1748 -o calibration.json
     """
     if again is not None:
         _solve_again(again, config, as_json=as_json)
@@ -252,7 +258,7 @@ def calibrate(
     if points is None:
         require_extra("imager", what="calibrate without POINTS")
     if points is None and config is not None:
-        of_points = (latitude, longitude, image_size, image_circle, pressure, start, plots, pose_only or None)
+        of_points = (latitude, longitude, image_size, image_circle, pressure, start, plots, pose_only or None, output)
         of_fit = (projection or None, mirrored or None)
         _require_settings_only(*of_points, *of_fit, lens_within, pose_within, focal_within, lens_prior)
 
@@ -263,7 +269,7 @@ def calibrate(
         raise InputError(field="--pose-only", problem="no lens to keep", remedy="name a calibration with --start")
     document = calibrate_file(
         _given(points, "POINTS"),
-        site=_site(latitude, longitude, altitude, pressure, temperature),
+        site=_site(config, *angles_of(latitude, longitude), altitude, pressure, temperature),
         image_size=parse_image_size(_given(image_size, "--image-size")),
         options=CalibrationOptions(
             method=method,  # type: ignore[arg-type]
@@ -282,23 +288,28 @@ def calibrate(
         clock_error_s=clock_error,
     )
     to_write.write([document])
-    _print_result(document, plots, as_json=as_json)
+    written = output if verdict_of(document) in _KEPT else None
+    if written is not None:
+        with disk_errors(written):
+            written.write_text(json_text(document), encoding="utf-8")
+    if output is not None and written is None:
+        typer.echo(f"{output}: not written, as the calibration is not accepted", err=True)
+    _print_result(document, plots, written, as_json=as_json)
 
 
-def _site(
-    latitude: float | None, longitude: float | None, altitude: float, pressure: float | None, temperature: float
-) -> Site:
-    """Return the site that the options state."""
-    return Site(
-        latitude=_given(latitude, "--latitude"),
-        longitude=_given(longitude, "--longitude"),
-        altitude=altitude,
-        pressure=pressure,
-        temperature=temperature,
-    )
+def _site(config: Path | None, *stated: float | None) -> Site:
+    """Return the site that the options state, in the order of its fields, and the settings where one does not."""
+    names = [one.name for one in fields(Site)]
+    given = {name: value for name, value in zip(names, stated, strict=True) if value is not None}
+    if config is not None and not {"latitude", "longitude"} <= given.keys():
+        require_extra("imager", what="calibrate --config")
+        return replace(service_settings(config).site, **given)
+    for name in ("latitude", "longitude"):
+        _given(given.get(name), f"--{name}")
+    return Site(**{"altitude": 0.0, **given})
 
 
-def _print_result(document: dict[str, Any], plots: Path | None, *, as_json: bool) -> None:
+def _print_result(document: dict[str, Any], plots: Path | None, written: Path | None, *, as_json: bool) -> None:
     """Print a calibration; exit 1 where it is refused."""
     if as_json:
         print_json(document)
@@ -306,6 +317,8 @@ def _print_result(document: dict[str, Any], plots: Path | None, *, as_json: bool
         print(calibration_text(document))
         if plots is not None:
             print(f"drawn: {plots / 'residuals.png'}, {plots / 'sky.png'}")
+        if written is not None:
+            print(f"written: {written}")
     if verdict_of(document) not in _KEPT:
         raise typer.Exit(1)
 

@@ -9,11 +9,12 @@ from typing import NamedTuple
 
 
 class Command(NamedTuple):
-    """Where a command, or a group of commands, is: its module and its name there; what `--help` says of it."""
+    """Where a command, or a group of commands, is: its module and its name there; what `--help` says, unless hidden."""
 
     module: str
     name: str
     help: str
+    hidden: bool = False
 
 
 LIBRARY = {name: Command(*rest) for name, *rest in (
@@ -54,7 +55,8 @@ IMAGER = {name: Command(*rest) for name, *rest in (
     ("epochs", "sunarc.cli.calibrations", "epochs_cli",
      "The pose epochs (intervals in which the camera does not move): list, close a wrong one."),
     ("compile", "sunarc.cli.service", "compile_kernels",
-     "Do nothing: the kernels are compiled where the package is built. Kept for scripts of versions before 0.4."),
+     "Do nothing: the kernels are compiled where the package is built. Kept for scripts of versions before 0.4.",
+     True),
 )}  # fmt: skip
 
 ARCHIVES = {

@@ -10,12 +10,20 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from sunarc.cli.options import AsJson, CalibrationFile, print_json, table
+from sunarc.cli.options import AcceptRefused, AsJson, CalibrationFile, print_json, table
 from sunarc.cli.owner import act_as_owner_of
 from sunarc.common.errors import InputError
+from sunarc.formats.calibration_document import from_document
 from sunarc.formats.formats import FORMATS
 from sunarc.formats.remap import Grid
-from sunarc.public.calibration_files import compare_files, exported, is_set, rectify_files, write_exports
+from sunarc.public.calibration_files import (
+    compare_files,
+    exported,
+    is_set,
+    rectify_files,
+    require_answers,
+    write_exports,
+)
 from sunarc.sources.files import read_file
 
 _READ = tuple(one.name for one in FORMATS.values() if one.read is not None)
@@ -40,36 +48,39 @@ def export_calibration(
         int, typer.Option(help="Draws of the calibration's errors to add (netcdf and npz): `direction_draw`.", min=0)
     ] = 0,
     seed: Annotated[int, typer.Option(help="Determines the draws, together with the calibration's id.", min=0)] = 0,
+    accept_refused: AcceptRefused = False,
 ) -> None:
     """Write a calibration in another format; its approximation error goes to standard error.
 
     Example: sunarc export --calibration calibration.json --format opencv -o fisheye.yml
     """
     if target is None:
-        one = exported(_document(calibration), format_, draws=draws, seed=seed)
+        one = exported(_document(calibration, accept_refused=accept_refused), format_, draws=draws, seed=seed)
         sys.stdout.buffer.write(one.content)
         print(f"{format_}: {one.error}", file=sys.stderr)
         return
     into_folder = is_set(format_, target)
-    documents = _documents(calibration) if into_folder else [_document(calibration)]
+    documents = _documents(calibration, into_folder=into_folder, accept_refused=accept_refused)
     for one in write_exports(documents, format_, target, draws=draws, seed=seed):
         for name in () if into_folder else one.beside:
             print(f"{format_}: wrote {name} beside it", file=sys.stderr)
         print(f"{one.name if into_folder else format_}: {one.error}", file=sys.stderr)
 
 
-def _documents(path: Path) -> list[dict[str, object]]:
-    """Return the document of a file, or those of all JSON files of a folder."""
-    return [_document(one) for one in sorted(path.glob("*.json"))] if path.is_dir() else [_document(path)]
+def _documents(path: Path, *, into_folder: bool, accept_refused: bool) -> list[dict[str, object]]:
+    """Return the document of a file; where a set is written, those of all JSON files of a folder."""
+    paths = sorted(path.glob("*.json")) if into_folder and path.is_dir() else [path]
+    return [_document(one, accept_refused=accept_refused) for one in paths]
 
 
-def _document(path: Path) -> dict[str, object]:
+def _document(path: Path, *, accept_refused: bool) -> dict[str, object]:
     try:
         found = json.loads(read_file(path))
     except (ValueError, RecursionError):
         found = None
     if not isinstance(found, dict):
         raise InputError(field=str(path), problem="is not a JSON object", remedy="give a calibration document")
+    require_answers(from_document(found), path.name, accept_refused=accept_refused)
     return found
 
 
@@ -134,6 +145,7 @@ def rectify(
     half_width: Annotated[
         float | None, typer.Option(help="Of the ground grid, m; what lies within 78° of zenith angle unless given.")
     ] = None,
+    accept_refused: AcceptRefused = False,
     as_json: AsJson = False,
 ) -> None:
     """Map images to a grid of the sky, or of the ground for clouds at a height; north at the top, east at the right.
@@ -150,6 +162,7 @@ def rectify(
         cloud_height_m=cloud_height,
         half_width_m=half_width,
         folder=folder,
+        accept_refused=accept_refused,
     )
     if as_json:
         print_json(found)

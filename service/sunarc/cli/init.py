@@ -20,9 +20,9 @@ from sunarc.common.findings import Finding, FindingError
 from sunarc.common.foreign_files import name_text
 from sunarc.imager.archive.database.state_folder import as_owner
 from sunarc.imager.checks import TriedResult, try_first
-from sunarc.imager.commands.first_look import parse_angle
 from sunarc.imager.settings.file_text import NEW_FILE, Value, read_text, value_in, with_values
 from sunarc.imager.settings.load import settings_of
+from sunarc.sky.site import parse_angle
 
 _SOURCES = ("aravis", "folder", "http", "rtsp")
 _TRIES = 5

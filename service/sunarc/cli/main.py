@@ -54,9 +54,8 @@ class _Commands(TyperGroup):
     def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401, ARG002 - click's
         """Write the commands of each house, and whether it is installed."""
         for house, commands in houses().items():
-            width = formatter.width - 6 - max(map(len, commands))
             with formatter.section(_heading(house)):
-                formatter.write_dl([(name, self.commands[name].get_short_help_str(width)) for name in commands])
+                formatter.write_dl([(name, one.help) for name, one in commands.items() if not one.hidden])
 
 
 def _heading(house: str) -> str:

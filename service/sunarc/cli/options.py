@@ -16,6 +16,7 @@ from sunarc.common.errors import InputError
 from sunarc.common.json_text import json_text
 from sunarc.common.utc import DAY_S
 from sunarc.imager.runtime.clock import SystemClock
+from sunarc.sky.site import parse_angle
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -34,10 +35,19 @@ OptionalState = Annotated[
     Path | None, typer.Option("--state", callback=act_as_owner, help="The service's state folder.", show_default=False)
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
-Latitude = Annotated[float, typer.Option(help="Degrees, north positive.", rich_help_panel=SITE)]
-Longitude = Annotated[float, typer.Option(help="Degrees, east positive.", rich_help_panel=SITE)]
+_LATITUDE = typer.Option(
+    "--latitude", metavar="ANGLE", help="Degrees, north positive, or as 47°25'12\"N.", rich_help_panel=SITE
+)
+_LONGITUDE = typer.Option(
+    "--longitude", metavar="ANGLE", help="Degrees, east positive, or as 8°33'E.", rich_help_panel=SITE
+)
+Latitude = Annotated[str, _LATITUDE]
+Longitude = Annotated[str, _LONGITUDE]
+LatitudeIfGiven = Annotated[str | None, _LATITUDE]
+LongitudeIfGiven = Annotated[str | None, _LONGITUDE]
 Altitude = Annotated[float, typer.Option(help="Metres above sea level.", rich_help_panel=SITE)]
 CalibrationFile = Annotated[Path, typer.Option("--calibration", help="A calibration document (JSON).")]
+AcceptRefused = Annotated[bool, typer.Option("--accept-refused", help="Answer by a refused calibration, too.")]
 DetectionMethod = Annotated[str, typer.Option("--method", help="auto, disc (microsecond frames) or paper (ordinary).")]
 
 LevelWithin = Annotated[
@@ -91,6 +101,14 @@ def hub_settings(config: Path | None) -> HubSettings:
     settings = load_hub_settings(config)
     act_as_owner(settings.state if settings.store is None else None)
     return settings
+
+
+def angles_of(latitude: str | None, longitude: str | None) -> tuple[float | None, float | None]:
+    """Return latitude and longitude in degrees, None where not given; InputError where one is no such angle."""
+    return (
+        None if latitude is None else parse_angle(latitude, question="--latitude", axis="NS"),
+        None if longitude is None else parse_angle(longitude, question="--longitude", axis="EW"),
+    )
 
 
 Choice = TypeVar("Choice", bound=str)

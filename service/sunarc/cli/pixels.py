@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from sunarc.cli.options import AsJson, CalibrationFile, DetectionMethod, choice_of, print_rows
+from sunarc.cli.options import AcceptRefused, AsJson, CalibrationFile, DetectionMethod, choice_of, print_rows
 from sunarc.cli.owner import act_as_owner_of
 from sunarc.common.errors import InputError
 from sunarc.detection.values import BAYERS
@@ -48,17 +48,17 @@ def detect(
         raise typer.Exit(1)
 
 
-def project(calibration: CalibrationFile) -> None:
+def project(calibration: CalibrationFile, *, accept_refused: AcceptRefused = False) -> None:
     """Read zenith_deg,azimuth_deg from standard input and write their pixels.
 
     Example: sunarc project --calibration calibration.json < directions.csv
     """
-    project_csv(calibration, sys.stdin, sys.stdout)
+    project_csv(calibration, sys.stdin, sys.stdout, accept_refused=accept_refused)
 
 
-def unproject(calibration: CalibrationFile) -> None:
+def unproject(calibration: CalibrationFile, *, accept_refused: AcceptRefused = False) -> None:
     """Read x_px,y_px from standard input and write their directions.
 
     Example: sunarc unproject --calibration calibration.json < pixels.csv
     """
-    unproject_csv(calibration, sys.stdin, sys.stdout)
+    unproject_csv(calibration, sys.stdin, sys.stdout, accept_refused=accept_refused)

@@ -20,9 +20,12 @@ from sunarc.cli.options import (
     AsJson,
     ClockError,
     DetectionMethod,
+    LatitudeIfGiven,
     LevelWithin,
+    LongitudeIfGiven,
     MirroredOption,
     ProjectionOption,
+    angles_of,
     choice_of,
     parse_image_size,
     print_json,
@@ -59,8 +62,8 @@ def reanalyse_archive(
             "--output", "-o", callback=act_as_owner_of, help="Folder of the results; a run goes on where it was."
         ),
     ],
-    latitude: Annotated[float | None, typer.Option(help="Degrees, north positive.", rich_help_panel=SITE)] = None,
-    longitude: Annotated[float | None, typer.Option(help="Degrees, east positive.", rich_help_panel=SITE)] = None,
+    latitude: LatitudeIfGiven = None,
+    longitude: LongitudeIfGiven = None,
     altitude: Annotated[float, typer.Option(help="Metres above sea level.", rich_help_panel=SITE)] = 0.0,
     image_size: Annotated[str | None, typer.Option(help="W,H in px; what most images have unless given.")] = None,
     cameras: Annotated[
@@ -100,7 +103,7 @@ def reanalyse_archive(
     """
     common = CameraPlan(
         name="camera",
-        site=_site(latitude, longitude, altitude, cameras),
+        site=_site(*angles_of(latitude, longitude), altitude, cameras),
         selector=Selector(tuple(one if "://" in one else name_text(one) for one in sources or ())),
         rules=TimeRules(
             _common_pattern(time_pattern),

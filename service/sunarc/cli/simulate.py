@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,7 +13,10 @@ from sunarc.cli.owner import act_as_owner_of
 from sunarc.common.errors import InputError
 from sunarc.common.utc import parse_time
 from sunarc.imager.runtime.log_to_journal import start_log
-from sunarc.sky.site import Site
+from sunarc.sky.site import Site, parse_angle
+
+if TYPE_CHECKING:
+    from sunarc.lab.simulation.serving import Bump
 
 
 def simulate(
@@ -21,8 +24,8 @@ def simulate(
     address: Annotated[str, typer.Option(help="Loopback address to answer at.")] = "127.0.0.1",
     start: Annotated[str, typer.Option(help="First simulated time, ISO 8601.")] = "2013-05-13T12:00:00Z",
     speed: Annotated[float, typer.Option(help="Times faster than real.")] = 1.0,
-    latitude: Latitude = 36.604043,
-    longitude: Longitude = -97.484856,
+    latitude: Latitude = "36.604043",
+    longitude: Longitude = "-97.484856",
     altitude: Altitude = 318.0,
     lens_seed: Annotated[int, typer.Option(help="Draws another true camera; 0 is the paper's.")] = 0,
     clouds: Annotated[str, typer.Option(help="clear, veil, broken, overcast; by commas: one a day.")] = "clear",
@@ -50,6 +53,10 @@ def simulate(
     token_file: Annotated[
         Path | None, typer.Option(help="With --http: ask for the USER:PASSWORD in this file, as Digest or Basic.")
     ] = None,
+    bump: Annotated[
+        float | None, typer.Option(metavar="DEG", help="Turn the camera by so much about the east, at the time --at.")
+    ] = None,
+    at: Annotated[str | None, typer.Option("--at", metavar="TIME", help="When, simulated time, ISO 8601.")] = None,
     cadence: Annotated[float, typer.Option(help="Simulated seconds between the pictures of --folder.")] = 60.0,
     truth: Annotated[
         Path | None, typer.Option(callback=act_as_owner_of, help="Write the true camera here, a calibration document.")
@@ -60,6 +67,8 @@ def simulate(
     With --folder a camera whose program writes its pictures into a folder, in UTC; with --http one that answers with
     its present picture at /record/current.jpg and /axis-cgi/jpg/image.cgi; the nights are skipped.
 
+    With --bump and --at the camera is moved, as a rehearsal (docs/operating/rehearse.md).
+
     Example: sunarc simulate --address 127.0.0.1 --speed 60 --truth truth.json
     """
     from sunarc.lab.simulation import serving as simulating
@@ -67,9 +76,16 @@ def simulate(
 
     answers_at = None if http is None else _address_of(http, other=folder)
     start_log(os.environ)
-    site = Site(latitude=latitude, longitude=longitude, altitude=altitude)
+    site = Site(
+        latitude=parse_angle(latitude, question="--latitude", axis="NS"),
+        longitude=parse_angle(longitude, question="--longitude", axis="EW"),
+        altitude=altitude,
+    )
     first = parse_time(start, where="--start")
-    pictures = simulating.PictureOptions(start=first, speed=speed, cadence_s=cadence, site=site, truth=truth)
+    moved = None if bump is None and at is None else _bump(bump, at)
+    pictures = simulating.PictureOptions(
+        start=first, speed=speed, cadence_s=cadence, site=site, truth=truth, bump=moved
+    )
     if folder is not None:
         simulating.simulate_pictures(pictures, folder)
         return
@@ -82,6 +98,7 @@ def simulate(
         sun_cover=sun_cover,
         moon_at=moon,
         night=SimulatedNight() if nights else None,
+        bump=moved,
     )
     options = ImagerOptions(
         address=address,
@@ -96,6 +113,22 @@ def simulate(
         truth=truth,
     )
     simulating.simulate_imager(options)
+
+
+def _bump(degrees: float | None, at: str | None) -> Bump:
+    """Return the bump that --bump and --at state together."""
+    from sunarc.lab.simulation.serving import Bump
+
+    if degrees is None or at is None:
+        missing = "--bump" if degrees is None else "--at"
+        raise InputError(field=missing, problem="missing", remedy="give both, as --bump 2.5 --at 2013-05-15T18:00:00Z")
+    if not 0.0 < abs(degrees) <= _LARGEST_BUMP_DEG:
+        problem = f"{degrees:g} degrees is not within 0 to {_LARGEST_BUMP_DEG:g}"
+        raise InputError(field="--bump", problem=problem, remedy="give a turn, as --bump 2.5")
+    return Bump(at=parse_time(at, where="--at"), turn_deg=(degrees, 0.0, 0.0))
+
+
+_LARGEST_BUMP_DEG = 45.0
 
 
 def _address_of(text: str, *, other: Path | None) -> tuple[str, int]:

@@ -10,7 +10,16 @@ import typer
 
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.selection import MOST_STARS
-from sunarc.cli.options import SITE, Altitude, AsJson, choice_of, print_json, print_table
+from sunarc.cli.options import (
+    Altitude,
+    AsJson,
+    LatitudeIfGiven,
+    LongitudeIfGiven,
+    angles_of,
+    choice_of,
+    print_json,
+    print_table,
+)
 from sunarc.cli.owner import act_as_owner_of
 from sunarc.common.errors import InputError, disk_errors
 from sunarc.common.messages import counted
@@ -43,8 +52,8 @@ def stars(
             callback=act_as_owner_of, help="The calibration that --blind found (JSON).", rich_help_panel=BLIND
         ),
     ] = None,
-    latitude: Annotated[float | None, typer.Option(help="Degrees, north positive.", rich_help_panel=SITE)] = None,
-    longitude: Annotated[float | None, typer.Option(help="Degrees, east positive.", rich_help_panel=SITE)] = None,
+    latitude: LatitudeIfGiven = None,
+    longitude: LongitudeIfGiven = None,
     altitude: Altitude = 0.0,
     image_circle: Annotated[
         str | None, typer.Option(help="X,Y,RADIUS in px, or a daytime image that shows it.", rich_help_panel=BLIND)
@@ -116,7 +125,7 @@ def stars(
     place = (
         known_camera.site
         if known_camera is not None
-        else _site(calibration, latitude, longitude, altitude, blind=blind)
+        else _site(calibration, *angles_of(latitude, longitude), altitude, blind=blind)
     )
     sun = None if beside is None else read_sightings(read_lines(beside), name=beside.name, site=place)
     if known_camera is None:

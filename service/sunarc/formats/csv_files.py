@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import csv
+import itertools
 import math
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from datetime import datetime
@@ -24,6 +26,8 @@ _REQUIRED = ("time_utc", "x_px", "y_px")
 _AIR_COLUMNS = ("temperature_c", "pressure_hpa")
 _DIRECTION_COLUMNS = ("zenith_deg", "azimuth_deg")
 _CLOCK_BOUNDS_S = (0.0, DAY_S)
+_SEPARATORS = (",", ";", "\t")
+_DECIMAL_COMMA = re.compile(r"^(\s*[+-]?\d*),(\d+(?:[eE][+-]?\d+)?\s*)$")
 _ZENITH_BOUNDS_DEG, _AZIMUTH_BOUNDS_DEG = (0.0, 180.0), (-360.0, 360.0)
 
 
@@ -223,7 +227,16 @@ def _cell(value: float, *, places: int) -> str:
 
 
 def _rows(lines: Iterable[str], *, name: str, required: Sequence[str]) -> Iterator[tuple[str, dict[str, str]]]:
-    reader = csv.reader(lines)
+    """Yield each row with its place; columns are separated as in the header, by commas, semicolons or tabs.
+
+    Where it is not by commas, a comma within a number is its decimal point: spreadsheets of most languages write so.
+    """
+    given = iter(lines)
+    begin: list[str] = []
+    while not (begin and begin[-1].strip()) and (line := next(given, None)) is not None:
+        begin.append(line)
+    separator = max(_SEPARATORS, key=begin[-1].count) if begin else _SEPARATORS[0]
+    reader = csv.reader(itertools.chain(begin, given), delimiter=separator)
     header = next((row for row in reader if row), None)
     if header is None:
         raise InputError(field=name, problem="is empty", remedy=f"give a header with {','.join(required)}")
@@ -234,7 +247,7 @@ def _rows(lines: Iterable[str], *, name: str, required: Sequence[str]) -> Iterat
         raise InputError(
             field=f"{name}, line {reader.line_num}",
             problem=f"no column {', '.join(missing)} in the header",
-            remedy=f"the header must name {','.join(required)}",
+            remedy=f"the header must name {','.join(required)}, separated by commas, semicolons or tabs",
         )
     for row in reader:
         if not any(cell.strip() for cell in row):
@@ -242,9 +255,12 @@ def _rows(lines: Iterable[str], *, name: str, required: Sequence[str]) -> Iterat
         where = f"{name}, line {reader.line_num}"
         if len(row) != len(names):
             raise InputError(
-                field=where, problem=f"{len(row)} cells for {len(names)} columns", remedy="write one cell a column"
+                field=where,
+                problem=f"{len(row)} cells for {len(names)} columns",
+                remedy="write one cell a column; where numbers have decimal commas, separate the columns by semicolons",
             )
-        yield where, dict(zip(names, row, strict=True))
+        cells = row if separator == "," else [_DECIMAL_COMMA.sub(r"\1.\2", cell) for cell in row]
+        yield where, dict(zip(names, cells, strict=True))
 
 
 def _number(text: str, *, where: str) -> float:

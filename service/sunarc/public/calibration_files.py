@@ -37,18 +37,18 @@ _PLACES = 10
 _YAML = (".yaml", ".yml")
 
 
-def project_csv(calibration: Path, source: TextIO, target: TextIO) -> None:
+def project_csv(calibration: Path, source: TextIO, target: TextIO, *, accept_refused: bool = False) -> None:
     """Read zenith_deg,azimuth_deg and write x_px,y_px,sigma_px,cov_xx,cov_xy,cov_yy,inside."""
-    ready = lookup(read_calibration(calibration))
+    ready = lookup(answering(calibration, accept_refused=accept_refused))
     angles = read_pairs(source, columns=("zenith_deg", "azimuth_deg"), name="standard input")
     directions = direction_from_angles(zenith_deg=angles[:, 0], azimuth_deg=angles[:, 1])
     found = ready.project(unit_vectors(directions))
     _write_answers(target, found, [name.removesuffix("_px2") for name in PROJECTED])
 
 
-def unproject_csv(calibration: Path, source: TextIO, target: TextIO) -> None:
+def unproject_csv(calibration: Path, source: TextIO, target: TextIO, *, accept_refused: bool = False) -> None:
     """Read x_px,y_px and write zenith_deg,azimuth_deg,sigma_deg,inside."""
-    ready = lookup(read_calibration(calibration))
+    ready = lookup(answering(calibration, accept_refused=accept_refused))
     found = ready.back_project(read_pairs(source, columns=("x_px", "y_px"), name="standard input"))
     columns = ["zenith_deg", "azimuth_deg", "sigma_deg", "inside"]
     _write_answers(target, found[:, [BACK_PROJECTED.index(name) for name in columns]], columns)
@@ -67,6 +67,21 @@ def read_calibration(path: Path) -> Calibration:
     except (ValueError, RecursionError):
         raise InputError(field=str(path), problem="is not JSON", remedy="give a calibration document") from None
     return from_document(document)
+
+
+def answering(path: Path, *, accept_refused: bool) -> Calibration:
+    """Return the calibration of a document's file; InputError where it is refused, unless that is accepted."""
+    found = read_calibration(path)
+    require_answers(found, path.name, accept_refused=accept_refused)
+    return found
+
+
+def require_answers(calibration: Calibration, name: str, *, accept_refused: bool) -> None:
+    """Raise InputError where a calibration is refused and was not asked for: its numbers are no answer."""
+    verdict = calibration.verdict
+    if not (accept_refused or verdict.accepted or calibration.sigma_limit_deg is not None):
+        problem = f"the calibration is refused: {verdict.findings[0].text}" if verdict.findings else "is refused"
+        raise InputError(field=name, problem=problem, remedy="fit it anew; or ask with --accept-refused")
 
 
 _WRITERS = {".nc": netcdf_bytes, ".npz": npz_bytes}
@@ -195,6 +210,7 @@ def rectify_files(
     cloud_height_m: float | None,
     half_width_m: float | None,
     folder: Path,
+    accept_refused: bool = False,
 ) -> list[dict[str, Any]]:
     """Map images to a grid, write them into a folder, and return what was written.
 
@@ -217,7 +233,7 @@ def rectify_files(
         raise InputError(field="grid", problem="a size or length that is not positive", remedy="give px and m")
     if grid == "ground" and cloud_height_m is None:
         raise InputError(field="--cloud-height", problem="missing", remedy="give the cloud base above the camera in m")
-    solved = read_calibration(calibration)
+    solved = answering(calibration, accept_refused=accept_refused)
     height = cloud_height_m or 0.0
     half_width = half_width_m or reach_m(height)
     directions = grid_directions(grid, size, half_width_m=half_width, height_m=height)

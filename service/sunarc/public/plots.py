@@ -191,7 +191,8 @@ def _outline(axes: Axes, camera: Camera) -> None:
         if np.all(np.isfinite(at)):
             x, y = at + 0.045 * (zenith - at)
             letter_ = axes.text(x, y, name, color=INK, fontsize=TITLE_PT, ha="center", va="center", clip_on=True)
-            letter_.set(zorder=5, path_effects=[withStroke(linewidth=2.5, foreground="#FFFFFF")])
+            # a number of a contour below it is covered whole
+            letter_.set(zorder=5, bbox={"boxstyle": "circle,pad=0.25", "facecolor": "#FFFFFF", "edgecolor": GREY})
 
 
 def some_rows(which: BoolArray) -> NDArray[np.intp]:
@@ -317,7 +318,9 @@ def _compass(axes: PolarAxes, camera: Camera) -> None:
     axes.set_thetagrids(azimuths, [names.get(a, f"{a}°") for a in azimuths], fontsize=LETTERING_PT + 1.0)
     axes.tick_params(axis="x", pad=8.0)
     axes.set_rlim(0.0, 90.0)
-    axes.set_rgrids([30, 60, 90], ["30°", "60°", "90°"], angle=15.0, fontsize=LETTERING_PT - 1.0, color=INK)
+    rings = axes.set_rgrids([30, 60], ["30°", "60°"], angle=15.0, fontsize=LETTERING_PT - 1.0, color="#FFFFFF")[1]
+    for ring in rings:
+        ring.set_path_effects([withStroke(linewidth=2.0, foreground=INK)])
     axes.grid(visible=True, color="#FFFFFF", linewidth=0.6, alpha=0.5)
 
 

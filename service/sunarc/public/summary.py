@@ -17,27 +17,36 @@ def verdict_of(document: dict[str, Any]) -> str:
 
 
 def calibration_text(document: dict[str, Any]) -> str:
-    """Return the main numbers of a calibration document, its verdict and the remedies, a line each."""
-    model, metrics, verdict = document["model"], document["metrics"], document["verdict"]
-    sky = document["uncertainty"]
+    """Return the main numbers of a calibration document, its verdict and the remedies, a line each.
+
+    One that is not accepted shows no number of its camera, which would be read as an answer.
+    """
+    metrics, verdict = document["metrics"], document["verdict"]
+    lens, sky = _camera_rows(document) if verdict_of(document) in {"accepted", "provisional"} else ([], [])
     rows: list[list[str]] = [
-        ["projection", model["projection"] + (", mirrored" if document["image"]["mirrored"] else "")],
-        ["focal length", "{:.3f}, {:.3f} px".format(*model["focal_length_px"])],
-        ["principal point", "{:.3f}, {:.3f} px".format(*model["principal_point_px"])],
-        *([name.removesuffix("_deg"), f"{value:.3f}°"] for name, value in document["pose"].items()),
+        *lens,
         ["sightings used", f"{document['evidence']['n_used']} of {metrics['n'] + document['evidence']['n_rejected']}"],
         ["RMSE", _rmse(metrics)],
-        [
-            "1-sigma over the sky",
-            f"{significant(sky['sky_rms_deg'], 2)}° RMS, {significant(sky['sky_max_deg'], 2)}° at most",
-        ],
-        ["field beside the lens", field_text(sky["field"])],
+        *sky,
         ["verdict", verdict_of(document)],
         *(["", reason] for reason in verdict["reasons"]),
         *(["remedy", remedy] for remedy in _remedies(verdict)),
     ]
     width = max(len(name) for name, _ in rows) + 2
     return "\n".join(f"{name:{width}}{value}" for name, value in rows)
+
+
+def _camera_rows(document: dict[str, Any]) -> tuple[list[list[str]], list[list[str]]]:
+    """Return the rows of lens and pose, and those of their uncertainty."""
+    model, sky = document["model"], document["uncertainty"]
+    lens = [
+        ["projection", model["projection"] + (", mirrored" if document["image"]["mirrored"] else "")],
+        ["focal length", "{:.3f}, {:.3f} px".format(*model["focal_length_px"])],
+        ["principal point", "{:.3f}, {:.3f} px".format(*model["principal_point_px"])],
+        *([name.removesuffix("_deg"), f"{value:.3f}°"] for name, value in document["pose"].items()),
+    ]
+    extent = f"{significant(sky['sky_rms_deg'], 2)}° RMS, {significant(sky['sky_max_deg'], 2)}° at most"
+    return lens, [["1-sigma over the sky", extent], ["field beside the lens", field_text(sky["field"])]]
 
 
 def _remedies(verdict: dict[str, Any]) -> list[str]:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge, Le
@@ -12,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from sunarc.common.array_types import FloatArray
 from sunarc.common.bounds import require_bounds
+from sunarc.common.findings import Finding, FindingError
 
 TEMPERATURE_BOUNDS_C = (-60.0, 60.0)
 """Air temperatures that are accepted, °C: the annual mean of the coldest inhabited sites is -55, the record is 57."""
@@ -100,3 +102,49 @@ def relative_air_mass(apparent_zenith: ArrayLike) -> FloatArray:
     """
     elevation = np.clip(90.0 - np.asarray(apparent_zenith, dtype=np.float64), 0.0, 90.0)
     return np.asarray(1.0 / (np.sin(np.radians(elevation)) + 0.50572 * (elevation + 6.07995) ** -1.6364))
+
+
+_NUMBER = r"\d+(?:[.,]\d+)?"
+_ANGLE = re.compile(
+    rf"\s*(?P<before>[NSEW])?\s*(?P<sign>[+\-−])?\s*(?P<degrees>{_NUMBER})\s*(?:°|d|deg|\s|$|(?=[NSEW]))\s*"
+    rf"(?:(?P<minutes>{_NUMBER})\s*(?:'|′|’|m|\s|$|(?=[NSEW]))\s*)?"
+    rf"(?:(?P<seconds>{_NUMBER})\s*(?:\"|″|”|''|s|\s|$|(?=[NSEW]))\s*)?(?P<after>[NSEW])?\s*",
+    re.IGNORECASE,
+)
+
+
+def parse_angle(text: str, *, question: str, axis: Literal["NS", "EW"]) -> float:
+    """Return an angle in degrees, north and east positive, from decimal degrees or degrees, minutes and seconds.
+
+    Parameters
+    ----------
+    text : as "-97.4849", "97.4849 W", "97°29'05.5W", "97 29 5.5 W"; a decimal comma is taken for a point.
+    question : the option that gives it.
+    axis : the letters of its two directions, the positive one first.
+
+    Raises
+    ------
+    FindingError : it is no angle of this axis.
+    """
+    match = _ANGLE.fullmatch(text)
+    if match is None or (match["before"] and match["after"]):
+        raise FindingError(question, Finding("angle_unreadable", {"given": text}))
+    letter = (match["before"] or match["after"] or "").upper()
+    if letter and letter not in axis:
+        raise FindingError(question, Finding("angle_of_other_axis", {"given": text}))
+    if letter and match["sign"]:
+        raise FindingError(question, Finding("angle_signed_twice", {"given": text}))
+    degrees, minutes, seconds = (_decimal(match[part]) for part in ("degrees", "minutes", "seconds"))
+    whole = [part for part in ("degrees", "minutes") if match["minutes" if part == "degrees" else "seconds"]]
+    if max(minutes, seconds) >= 60.0 or any(_decimal(match[part]) % 1.0 for part in whole):
+        raise FindingError(question, Finding("angle_unreadable", {"given": text}))
+    angle = degrees + minutes / 60.0 + seconds / 3600.0
+    most = 90 if axis == "NS" else 180
+    if angle > most:
+        raise FindingError(question, Finding("angle_beyond", {"given": text, "most": most}))
+    negative = letter == axis[1] or match["sign"] in {"-", "−"}
+    return round(-angle if negative else angle, 7) + 0.0
+
+
+def _decimal(digits: str | None) -> float:
+    return float((digits or "0").replace(",", "."))

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import PurePosixPath
-from typing import Literal
 
 import cv2
 import numpy as np
@@ -25,51 +23,6 @@ from sunarc.sources.image_files import image_of
 from sunarc.sources.image_times import TimeRules, timed_frames
 from sunarc.sources.name_times import time_in_name
 from sunarc.sources.source_files import ImageSource
-
-_NUMBER = r"\d+(?:[.,]\d+)?"
-_ANGLE = re.compile(
-    rf"\s*(?P<before>[NSEW])?\s*(?P<sign>[+\-−])?\s*(?P<degrees>{_NUMBER})\s*(?:°|d|deg|\s|$|(?=[NSEW]))\s*"
-    rf"(?:(?P<minutes>{_NUMBER})\s*(?:'|′|’|m|\s|$|(?=[NSEW]))\s*)?"
-    rf"(?:(?P<seconds>{_NUMBER})\s*(?:\"|″|”|''|s|\s|$|(?=[NSEW]))\s*)?(?P<after>[NSEW])?\s*",
-    re.IGNORECASE,
-)
-
-
-def parse_angle(text: str, *, question: str, axis: Literal["NS", "EW"]) -> float:
-    """Return an angle in degrees, north and east positive, from decimal degrees or degrees, minutes and seconds.
-
-    Parameters
-    ----------
-    text : as "-97.4849", "97.4849 W", "97°29'05.5W", "97 29 5.5 W"; a decimal comma is taken for a point.
-    question : the option that gives it.
-    axis : the letters of its two directions, the positive one first.
-
-    Raises
-    ------
-    FindingError : it is no angle of this axis.
-    """
-    match = _ANGLE.fullmatch(text)
-    if match is None or (match["before"] and match["after"]):
-        raise FindingError(question, Finding("angle_unreadable", {"given": text}))
-    letter = (match["before"] or match["after"] or "").upper()
-    if letter and letter not in axis:
-        raise FindingError(question, Finding("angle_of_other_axis", {"given": text}))
-    if letter and match["sign"]:
-        raise FindingError(question, Finding("angle_signed_twice", {"given": text}))
-    degrees, minutes, seconds = (_decimal(match[part]) for part in ("degrees", "minutes", "seconds"))
-    whole = [part for part in ("degrees", "minutes") if match["minutes" if part == "degrees" else "seconds"]]
-    if max(minutes, seconds) >= 60.0 or any(_decimal(match[part]) % 1.0 for part in whole):
-        raise FindingError(question, Finding("angle_unreadable", {"given": text}))
-    angle = degrees + minutes / 60.0 + seconds / 3600.0
-    most = 90 if axis == "NS" else 180
-    if angle > most:
-        raise FindingError(question, Finding("angle_beyond", {"given": text, "most": most}))
-    negative = letter == axis[1] or match["sign"] in {"-", "−"}
-    return round(-angle if negative else angle, 7) + 0.0
-
-
-def _decimal(digits: str | None) -> float:
-    return float((digits or "0").replace(",", "."))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -23,6 +23,8 @@ from sunarc.common.utc import DAY_S, utc_time
 from sunarc.imager.runtime.clock import Clock
 from sunarc.lab.simulation.imager import truth_document
 from sunarc.lab.simulation.made_archive import MadeArchive, MadeCamera, camera_at, encoded, photograph
+from sunarc.lab.simulation.options import Bump
+from sunarc.lab.simulation.scene import bumped_camera
 from sunarc.lab.simulation.truth import SGP
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
@@ -51,6 +53,7 @@ class PictureOptions:
     cloudy_share : share of the pictures in which a cloud hides the sun.
     seed : of clouds and noise.
     truth : file for the true camera, a calibration document; None writes none.
+    bump : when the camera is turned, if it is.
     """
 
     start: datetime
@@ -61,6 +64,7 @@ class PictureOptions:
     cloudy_share: float = 0.2
     seed: int = 1
     truth: Path | None = None
+    bump: Bump | None = None
 
 
 def write_pictures(options: PictureOptions, folder: Path, clock: Clock, stop: threading.Event) -> None:
@@ -91,6 +95,9 @@ def _write_truth(options: PictureOptions, camera: Camera) -> None:
 
 
 def _picture(options: PictureOptions, camera: Camera, unix_s: float, rng: np.random.Generator) -> bytes:
+    bump = options.bump
+    if bump is not None and unix_s >= bump.at.timestamp():
+        camera = bumped_camera(camera, bump)
     pixel = project(camera, sun_directions([unix_s], options.site)[0])
     hidden = bool(rng.random() < options.cloudy_share)
     return encoded(photograph(options.size, pixel, rng, hidden=hidden))

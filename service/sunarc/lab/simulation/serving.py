@@ -10,10 +10,10 @@ from sunarc.imager.runtime.clock import SystemClock
 from sunarc.imager.workers.options import read_login
 from sunarc.lab.simulation.fake_camera import FakeCamera
 from sunarc.lab.simulation.imager import ImagerOptions, halve_speed, run_imager
-from sunarc.lab.simulation.options import SceneOptions, SensorModel, SimulatedNight
+from sunarc.lab.simulation.options import Bump, SceneOptions, SensorModel, SimulatedNight
 from sunarc.lab.simulation.pictures import PictureOptions, PictureServer, PresentPicture, serve_pictures, write_pictures
 
-__all__ = ["ImagerOptions", "PictureOptions", "SceneOptions", "SensorModel", "SimulatedNight", "simulate_http",
+__all__ = ["Bump", "ImagerOptions", "PictureOptions", "SceneOptions", "SensorModel", "SimulatedNight", "simulate_http",
            "simulate_imager", "simulate_pictures"]  # fmt: skip
 
 
