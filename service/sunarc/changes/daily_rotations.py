@@ -15,8 +15,6 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_solve, cholesky
-from scipy.spatial.transform import Rotation
 
 from sunarc.calibration.answers.error_model import (
     CameraErrorModel,
@@ -100,6 +98,8 @@ def _rotation(observed: FloatArray, expected: FloatArray) -> tuple[FloatArray, F
     for _ in range(_ROUNDS):
         if np.count_nonzero(weight) < FEWEST:
             return None
+        from scipy.spatial.transform import Rotation  # noqa: PLC0415 - a fit of one day loads without scipy
+
         rotation = Rotation.align_vectors(expected, observed, weights=weight)[0]
         distance = np.linalg.norm(expected - rotation.apply(observed), axis=-1)
         scale = max(float(np.median(distance)) / _MEDIAN_DISTANCE, _LEAST_SIGMA)
@@ -310,6 +310,8 @@ def _gls_rotation(error_model: CameraErrorModel, camera: Camera, sightings: Sigh
     at = predicted(error_model, camera, sightings.directions)
     rows = at.rows[..., error_model.rotation].reshape(-1, 3)
     total = joint_covariance(error_model, at) + np.diag(np.repeat(sightings.variance, 2))
+    from scipy.linalg import cho_solve, cholesky  # noqa: PLC0415 - a fit of one day loads without scipy
+
     weighed = cho_solve((cholesky(total, lower=True), True), rows)
     covariance = np.asarray(np.linalg.inv(rows.T @ weighed), dtype=np.float64)
     return covariance @ (weighed.T @ finite(sightings.pixels - at.pixels).ravel()), covariance

@@ -13,8 +13,6 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_solve, cholesky, solve_triangular
-from scipy.special import logsumexp
 
 from sunarc.calibration.answers.error_model import (
     CameraErrorModel,
@@ -421,7 +419,7 @@ def drift_evidence(window: ResidualModel, first: int) -> float:
     # the likeliest one once more, with false sightings among the episode's
     inliers = inliers_from(window, likeliest.begin)
     among_false = fit_inlier_mixture(drift_covariance(window, likeliest), window.sightings, inliers).log_evidence
-    return float(logsumexp(reached)) - math.log(len(reached)) + max(among_false - best, 0.0)
+    return float(np.logaddexp.reduce(reached)) - math.log(len(reached)) + max(among_false - best, 0.0)
 
 
 def _drifts(begins: Iterable[int]) -> Iterator[Drift]:
@@ -651,11 +649,11 @@ def _surprise(window: ResidualModel) -> FloatArray:
     if np.any(trusted_axes):
         before = window.covariance[np.ix_(trusted_axes, trusted_axes)] + np.diag(noise[trusted_axes])
         shared = window.covariance[trusted_axes][:, -2:]
+        from scipy.linalg import cho_solve, cholesky  # noqa: PLC0415 - a fit of one day loads without scipy
+
         gain = cho_solve((cholesky(before, lower=True), True), shared)
         mean = mean - gain.T @ window.sightings.residual.ravel()[trusted_axes]
         spread = spread - gain.T @ shared
     # whitened: the sum of squares is then chi-square of two if nothing has changed
-    root = cholesky(0.5 * (spread + spread.T), lower=True)
-    return (
-        np.asarray(solve_triangular(root, mean, lower=True)) if math.isfinite(float(mean @ mean)) else np.full(2, 1e6)
-    )
+    root = np.linalg.cholesky(0.5 * (spread + spread.T))
+    return np.linalg.solve(root, mean) if math.isfinite(float(mean @ mean)) else np.full(2, 1e6)

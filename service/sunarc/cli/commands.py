@@ -17,6 +17,9 @@ class Command(NamedTuple):
     hidden: bool = False
 
 
+_HIDDEN = {"compile"}
+"""Commands that are kept for scripts of former versions."""
+
 LIBRARY = {name: Command(*rest) for name, *rest in (
     ("calibrate", "sunarc.cli.calibrate", "calibrate",
      "Fit the camera to sightings; exit 1 when the fit is refused, or --again leads to another camera."),
@@ -38,7 +41,7 @@ LIBRARY = {name: Command(*rest) for name, *rest in (
      "Print every code of findings with its meaning and action, as the page docs/codes.md."),
 )}  # fmt: skip
 
-IMAGER = {name: Command(*rest) for name, *rest in (
+IMAGER = {name: Command(module, attribute, text, name in _HIDDEN) for name, module, attribute, text in (
     ("init", "sunarc.cli.init", "init",
      "Ask for what cannot be known, try the rest, and write a settings file; exit 1 where a trial fails."),
     ("serve", "sunarc.cli.service", "serve", "Run the service until SIGTERM or SIGINT."),
@@ -55,8 +58,7 @@ IMAGER = {name: Command(*rest) for name, *rest in (
     ("epochs", "sunarc.cli.calibrations", "epochs_cli",
      "The pose epochs (intervals in which the camera does not move): list, close a wrong one."),
     ("compile", "sunarc.cli.service", "compile_kernels",
-     "Do nothing: the kernels are compiled where the package is built. Kept for scripts of versions before 0.4.",
-     True),
+     "Do nothing: the kernels are compiled where the package is built. Kept for scripts of versions before 0.4."),
 )}  # fmt: skip
 
 ARCHIVES = {
