@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from datetime import timedelta
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -62,6 +62,27 @@ def test_any_calibration_is_found_by_its_id(made: Made) -> None:
     assert made.client.get("/v1/calibrations/refused").json()["verdict"]["accepted"] is False
 
 
-@pytest.mark.parametrize("path", ["/v1/calibration", "/v1/calibrations/nothing"])
-def test_without_a_calibration_there_is_none_to_tell(empty: Made, path: str) -> None:
-    assert empty.client.get(path).status_code == 404
+def test_an_unknown_calibration_is_not_found(empty: Made) -> None:
+    assert empty.client.get("/v1/calibrations/nothing").status_code == 404
+
+
+@pytest.mark.parametrize(
+    ("status", "path", "body"),
+    [
+        (404, "/v1/calibration", None),
+        (404, "/v1/masks/sun", None),
+        (404, "/v1/masks/horizon", None),
+        (503, "/v1/back-project", {"pixels": [[871.0, 883.0]]}),
+        (503, "/v1/project", {"zenith_deg": [30.0], "azimuth_deg": [200.0]}),
+        (503, "/v1/geolocate", {"pixels": [[871.0, 883.0]], "height_m": 1500.0}),
+        (503, "/v1/back-projection-map", None),
+        (503, "/v1/remap?grid=sky&size=64", None),
+    ],
+)
+def test_before_the_first_calibration_every_route_says_so_and_when_to_ask_again(
+    empty: Made, status: int, path: str, body: dict[str, Any] | None
+) -> None:
+    answer = empty.client.get(path) if body is None else empty.client.post(path, json=body)
+    assert answer.status_code == status
+    assert answer.json()["type"] == "urn:sunarc:problem:no_calibration"
+    assert 1 <= int(answer.headers["retry-after"]) <= 600

@@ -234,7 +234,7 @@ def test_a_large_answer_gives_its_place_back(make: Any) -> None:  # noqa: ANN401
 def test_the_calibration_that_answers_is_the_one_that_was_activated_last(made: Made) -> None:
     assert ask(made, "/v1/project", HERE)["calibration"] == "second"
     made.archive.calibrations.retire("second", at=made.noon)
-    assert made.client.post("/v1/project", json=HERE).status_code == 404
+    assert made.client.post("/v1/project", json=HERE).status_code == 503
 
 
 def test_small_questions_are_answered_before_the_calibration_is_ready_however_many(make: Any) -> None:  # noqa: ANN401 - a fixture that is a function

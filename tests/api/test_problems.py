@@ -50,7 +50,9 @@ def test_every_refusal_has_one_shape(made: Made, method: str, path: str, status:
     problem = check_shape(answer, status, answer.request.url.path)
     assert problem["detail"]
     if status == 405:
-        assert answer.headers["allow"]
+        allowed = answer.headers["allow"].split(", ")
+        assert allowed
+        assert all(one in problem["errors"][0]["remedy"] for one in allowed if one != "HEAD")
 
 
 def test_a_body_that_announces_too_much_is_refused_unread(make: Any) -> None:  # noqa: ANN401 - a fixture that is a function
@@ -157,3 +159,24 @@ def test_a_path_that_knows_several_methods_lists_them_all(made: Made) -> None:
     for path in ("/v1/refits", "/v1/cameras/roof/refits"):
         assert made.client.request("DELETE", path).headers["allow"].split(", ") == ["GET", "HEAD", "POST"]
     assert made.client.request("DELETE", "/").headers["allow"]
+
+
+@pytest.mark.parametrize(
+    ("path", "body", "named"),
+    [
+        ("/v1/sun?at=2013-05-13T18:00:00", None, "2013-05-13T18:30:00Z"),
+        ("/v1/sun?at=1368469800", None, "date -u -d @"),
+        ("/v1/sun?at=2013-05-13", None, "2013-05-13T18:30:00Z"),
+        ("/v1/sun-points?since=yesterday", None, "2013-05-13T18:30:00Z"),
+        ("/v1/geolocate", {"pixels": [[871.0, 883.0]]}, "add height_m"),
+        ("/v1/geolocate", {"height_m": 1500.0}, "give pixels and height_m"),
+        ("/v1/project", {"zenith_deg": [30.0]}, "give zenith_deg and azimuth_deg"),
+    ],
+)
+def test_a_wrong_time_and_a_missing_height_have_a_remedy_to_type(
+    made: Made, path: str, body: dict[str, Any] | None, named: str
+) -> None:
+    answer = made.client.get(path) if body is None else made.client.post(path, json=body)
+    (fault,) = check_shape(answer, 422, answer.request.url.path)["errors"]
+    assert named in fault["remedy"]
+    assert "openapi.json" not in fault["remedy"]

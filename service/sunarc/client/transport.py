@@ -13,6 +13,8 @@ from http import HTTPStatus
 from typing import Any
 
 _AGAIN = (429, 503)
+_NOT_SOON = "urn:sunarc:problem:no_calibration"
+"""Type of a 503 that a clear day ends, not a moment."""
 _FIRST_WAIT_S = 0.25
 _LONGEST_WAIT_S = 10.0
 
@@ -134,7 +136,7 @@ class Transport:
 
     def wait(self, error: ImagerError, attempt: int) -> None:
         """Wait before a request that failed is asked again; raise the error where it would fail again, or often did."""
-        if attempt >= self._retries or error.status not in (None, *_AGAIN):
+        if attempt >= self._retries or error.status not in (None, *_AGAIN) or _NOT_SOON in error.problem.values():
             raise error
         time.sleep(retry_wait_s(error, attempt))  # noqa: TID251 - it stands outside the service and its clock
 

@@ -56,9 +56,12 @@ _PLUS_LOST = re.compile(r"[Tt][0-9:.]+ [0-9]{2}:?[0-9]{2}$")
 
 def _written_in_full(value: object) -> object:
     if isinstance(value, str) and _PLUS_LOST.search(value):
-        raise ValueError("has a space before its offset: in a URL write + as %2B, or give the time in UTC with a Z")
+        raise ValueError("has a space before its offset; in a URL write + as %2B, or give the time in UTC with a Z")
     if isinstance(value, str) and "T" not in value.upper():
-        raise ValueError("is not a time as in 2013-05-13T18:30:00Z")
+        raise ValueError(
+            "is not a time with its date; write it as 2013-05-13T18:30:00Z (date -u -d @1368469800 +%FT%TZ converts "
+            "unix seconds)"
+        )
     return value
 
 

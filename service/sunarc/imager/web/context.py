@@ -23,6 +23,7 @@ from sunarc.imager.archive.images import ImageStore
 from sunarc.imager.archive.values import CalibrationRecord, Refit
 from sunarc.imager.runtime.status import StatusSnapshot
 from sunarc.imager.web.options import ApiOptions
+from sunarc.imager.web.problems import NoCalibrationError
 from sunarc.sky.days import solar_date
 from sunarc.sky.site import Site
 
@@ -186,12 +187,10 @@ class ApiContext:
         """Return the calibration that answers now, or for the moment `at`; NotFoundError without one."""
         record = self.record_or_none(at)
         if record is None:
-            when = "is current" if at is None else f"answers for {at.isoformat()}"
-            raise NotFoundError(
-                field="calibration" if at is None else "at",
-                problem=f"no calibration {when}",
-                remedy="wait for a clear day, or see /v1/calibrations for what there is",
-            )
+            remedy = "wait for a clear day, or see /v1/calibrations for what there is"
+            if at is None:
+                raise NoCalibrationError(field="calibration", problem="no calibration is current", remedy=remedy)
+            raise NotFoundError(field="at", problem=f"no calibration answers for {at.isoformat()}", remedy=remedy)
         return record
 
     def calibration(self, calibration_id: str, *, field_name: str = "id") -> CalibrationRecord:

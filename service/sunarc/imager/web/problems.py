@@ -87,6 +87,9 @@ MEDIA_TYPE = "application/problem+json"
 _MOST_FAULTS = 20
 _RETRY_AFTER_S = 5
 """What is outside (a database, a disk) is mostly away for seconds, as in a restart."""
+NO_CALIBRATION = "no_calibration"
+_NEXT_CALIBRATION_S = 60
+"""Between two questions for the first calibration, which a clear day makes."""
 _log = logging.getLogger(__name__)
 
 _PROBLEMS = {
@@ -94,7 +97,7 @@ _PROBLEMS = {
     "model_attributes_type": "is not a JSON object",
     "model_type": "is not a JSON object",
 }
-_REMEDIES = {
+_REMEDIES: dict[str, str] = {
     "missing": "add it",
     "extra_forbidden": "remove it or correct its spelling",
     "finite_number": "give a finite number",
@@ -105,6 +108,8 @@ _REMEDIES = {
     "model_attributes_type": "send a JSON object, with its content type",
     "model_type": "send a JSON object",
 }
+_TIME_REMEDY = "write it with its zone, as 2013-05-13T18:30:00Z or 2013-05-13T20:30:00+02:00"
+_REMEDIES |= dict.fromkeys(("timezone_aware", "datetime_parsing", "datetime_from_date_parsing"), _TIME_REMEDY)
 _REMEDY = "see /openapi.json for what is expected"
 
 
@@ -128,6 +133,13 @@ class Problem(BaseModel):
     )
     instance: str = Field(description="The path that was asked for.", examples=["/v1/back-project"])
     errors: list[Fault] = Field(description="What is wrong, one by one; may be empty.")
+
+
+class NoCalibrationError(NotFoundError):
+    """No calibration answers now.
+
+    A route whose description has 503 computes by one and will answer later; another was asked for the calibration.
+    """
 
 
 _NOT_JSON = Fault(field="content-type", problem="is not accepted", remedy="send application/json")
@@ -178,10 +190,11 @@ def problem_response(
     detail: str,
     errors: Sequence[Fault] = (),
     headers: Mapping[str, str] | None = None,
+    kind: str | None = None,
 ) -> JSONResponse:
-    """Return a problem document as an answer."""
+    """Return a problem document as an answer, of the kind of its status unless one is given."""
     problem = Problem(
-        type=f"urn:sunarc:problem:{_KINDS.get(status, 'http')}",
+        type=f"urn:sunarc:problem:{kind or _KINDS.get(status, 'http')}",
         title=status.phrase,
         status=status,
         detail=detail,
@@ -333,6 +346,11 @@ def _http(request: Request, error: Exception) -> JSONResponse:
     status, headers = HTTPStatus(http_error.status_code), http_error.headers
     if status == HTTPStatus.METHOD_NOT_ALLOWED and (methods := _methods(request)):
         headers = {"allow": ", ".join(sorted(methods))}
+        described = " or ".join(sorted(methods - {"HEAD"}))
+        fault = Fault(field="method", problem=f"{request.method} is not answered here", remedy=f"send {described}")
+        return problem_response(
+            status, path=request.url.path, detail=_sentence([fault]), errors=[fault], headers=headers
+        )
     return problem_response(status, path=request.url.path, detail=str(http_error.detail), headers=headers)
 
 
@@ -356,19 +374,26 @@ def _ours(request: Request, error: Exception) -> JSONResponse:
         return refusal_response(path, error)
     if isinstance(error, InputError):
         status = _STATUSES.get(type(error), HTTPStatus.UNPROCESSABLE_ENTITY)
+        kind = headers = None
+        if isinstance(error, NoCalibrationError):
+            later = HTTPStatus.SERVICE_UNAVAILABLE in getattr(request.scope.get("route"), "responses", {})
+            status = HTTPStatus.SERVICE_UNAVAILABLE if later else HTTPStatus.NOT_FOUND
+            kind, headers = NO_CALIBRATION, {"retry-after": str(_NEXT_CALIBRATION_S)}
         fault = Fault(field=error.field, problem=error.problem, remedy=error.remedy)
-        return problem_response(status, path=path, detail=str(error), errors=[fault])
+        return problem_response(status, path=path, detail=str(error), errors=[fault], headers=headers, kind=kind)
     _log.error("%s %s: %s", request.method, path, error)
     again = {"retry-after": str(_RETRY_AFTER_S)}
     return problem_response(HTTPStatus.SERVICE_UNAVAILABLE, path=path, detail=str(error), headers=again)
 
 
 def _fault(error: Mapping[str, Any]) -> Fault:
+    """Return the fault of an error of pydantic; our own validators write "problem; remedy"."""
     kind, message = error["type"], str(error["msg"]).removeprefix("Value error, ")
+    problem, _, remedy = message.partition("; ") if kind == "value_error" else (message, "", "")
     return Fault(
         field="body" if kind == "json_invalid" else _location(error["loc"]),
-        problem=_PROBLEMS.get(kind, message[:1].lower() + message[1:]),
-        remedy=_REMEDIES.get(kind, _REMEDY),
+        problem=_PROBLEMS.get(kind, problem[:1].lower() + problem[1:]),
+        remedy=remedy or _REMEDIES.get(kind, _REMEDY),
     )
 
 

@@ -219,12 +219,12 @@ class ProjectRequest(Body):
         angles = (self.zenith_deg is not None, self.azimuth_deg is not None)
         if angles == (False, False) and self.direction_enu is not None:
             if not all(any(vector) for vector in self.direction_enu):
-                raise ValueError("direction_enu holds a vector of length 0")
+                raise ValueError("direction_enu holds a vector of length 0; leave it out")
             return self
         if angles != (True, True) or self.direction_enu is not None:
-            raise ValueError("give zenith_deg and azimuth_deg, or direction_enu")
+            raise ValueError("has not one kind of direction; give zenith_deg and azimuth_deg, or direction_enu")
         if len(self.zenith_deg or ()) != len(self.azimuth_deg or ()):
-            raise ValueError("zenith_deg and azimuth_deg differ in length")
+            raise ValueError("zenith_deg and azimuth_deg differ in length; give one of each for a direction")
         return self
 
 

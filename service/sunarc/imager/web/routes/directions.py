@@ -23,7 +23,7 @@ from sunarc.sky.directions import angles_from_direction, direction_from_angles, 
 def direction_routes(context: ApiContext, slots: ComputeSlots) -> APIRouter:
     """Return the routes that compute."""
     routes = APIRouter(tags=["directions"])
-    failures = answers(404, 408, 413, 415, 422)
+    failures = answers(404, 408, 413, 415, 422, 503)
 
     @routes.post(
         "/back-project",

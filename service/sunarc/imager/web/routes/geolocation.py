@@ -57,7 +57,9 @@ class GeolocateRequest(Body):
     def _one_way(self) -> GeolocateRequest:
         if (self.pixels is None, self.height_m is None) == (self.points is not None,) * 2:
             return self
-        raise ValueError("give pixels and height_m, or points")
+        if self.pixels is not None and self.points is None:
+            raise ValueError("has pixels without height_m; add height_m, the cloud's height above the camera in metres")
+        raise ValueError("has not one way to a position; give pixels and height_m, or points")
 
 
 class SunPlace(BaseModel):
@@ -163,7 +165,7 @@ def geolocation_routes(context: ApiContext, slots: bulk.ComputeSlots) -> APIRout
         "/geolocate",
         dependencies=BY_CALIBRATION,
         response_model=GeolocateAnswer,
-        responses=bulk.row_responses(LOCATED) | answers(404, 408, 413, 415, 422),
+        responses=bulk.row_responses(LOCATED) | answers(404, 408, 413, 415, 422, 503),
         openapi_extra=bulk.body_of(
             "GeolocateRequest",
             "(n, 3) x, y in px, cloud base height in m, without a place where it is not above 0 and at most 30 000; "

@@ -63,7 +63,7 @@ def map_routes(context: ApiContext, files: AnswerFiles) -> APIRouter:
         "/back-projection-map",
         dependencies=BY_CALIBRATION,
         response_class=Response,
-        responses=_MAP | answers(404, 416, 422),
+        responses=_MAP | answers(404, 416, 422, 503),
     )
     async def back_projection_map(
         request: Request,
@@ -265,7 +265,7 @@ _of_grid = partial(
         "Sunarc-Sigma-M": "The same on the ground grid, m, by the calibration.",
     },
 )
-_NOT_MADE = RANGED | answers(404, 416, 422)
+_NOT_MADE = RANGED | answers(404, 416, 422, 503)
 _TABLES = _NOT_MADE | _of_grid(
     "map_x, map_y (size, size), single precision; -1 where the image has nothing (docs/rest.md).",
     _TABLE_TYPES,
