@@ -20,7 +20,7 @@ class Command(NamedTuple):
 _HIDDEN = {"compile"}
 """Commands that are kept for scripts of former versions."""
 
-LIBRARY = {name: Command(*rest) for name, *rest in (
+LIBRARY = {name: Command(module, attribute, text) for name, module, attribute, text in (
     ("calibrate", "sunarc.cli.calibrate", "calibrate",
      "Fit the camera to sightings; exit 1 when the fit is refused, or --again leads to another camera."),
     ("detect", "sunarc.cli.pixels", "detect",
