@@ -179,6 +179,7 @@ def write_results(
         "cameras": [_camera(one, documents) for one in results],
         "refused": [_refusal(one) for one in indexed.refused],
         "failures": dict(Counter(row[1] for row in _failures(results, indexed)).most_common()),
+        "headline": headline_of(_left_out(results, indexed), used=sum(len(one.looked.points()[1]) for one in results)),
         "exports_missing": missing,
     }
     return Summary(report=report, documents=documents)
@@ -327,13 +328,31 @@ def _sigmas(result: CameraResult, offsets: Sequence[float]) -> FloatArray:
 
 
 def _failures(results: Sequence[CameraResult], indexed: Indexed) -> list[tuple[str, str, str]]:
+    return sorted((one.file, one.finding.code, one.finding.text) for one in _left_out(results, indexed))
+
+
+def headline_of(failures: Sequence[Failure], *, used: int) -> Document | None:
+    """Return the cause that took most files, where it took more than were used: its code, its number and its sentence.
+
+    Parameters
+    ----------
+    failures : files that were left out.
+    used : images that a sun was found in.
+    """
+    for code, n in Counter(one.finding.code for one in failures).most_common(1):
+        example = next(one.finding for one in failures if one.finding.code == code)
+        return {"code": code, "n": n, "reason": example.sentence} if n > used else None
+    return None
+
+
+def _left_out(results: Sequence[CameraResult], indexed: Indexed) -> list[Failure]:
     found = [*indexed.failures, *indexed.refused]
     for one in results:
         for looked in (one.looked, one.nights.looked):
             answers = zip(looked.images, looked.found, strict=True)
             found += [Failure(image.name, answer) for image, answer in answers if isinstance(answer, Finding)]
         found += [Failure(image.name, Finding("night_between_poses")) for image in one.nights.nights.left_out]
-    return sorted((one.file, one.finding.code, one.finding.text) for one in found)
+    return found
 
 
 def _epochs(result: CameraResult, documents: Mapping[tuple[str, str], Document]) -> list[Document]:

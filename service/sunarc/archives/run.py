@@ -22,7 +22,7 @@ from sunarc.archives.ledger import Ledger
 from sunarc.archives.nights import NightsLooked, name_stars, nights_of, star_points
 from sunarc.archives.passes import Looked, Passes, epoch_at, predictions, without_lifted
 from sunarc.archives.report import write_report
-from sunarc.archives.results import CameraResult, Horizon, Summary, learn_horizon, write_results
+from sunarc.archives.results import CameraResult, Horizon, Summary, headline_of, learn_horizon, write_results
 from sunarc.archives.states import ArchiveCamera
 from sunarc.common.errors import InputError, disk_errors
 from sunarc.common.findings import Finding
@@ -80,8 +80,9 @@ def reanalyse(
     OutsideError : the folder cannot be written or another run writes into it, or no worker answers.
     """
     if not indexed.cameras:
-        seen = [f"{one.file}: {one.finding.text}" for one in (*indexed.refused, *indexed.failures)][:5]
-        raise InputError(field="SOURCE", problem=f"has no image to look at ({'; '.join(seen)})", remedy="see above")
+        cause = headline_of(indexed.failures or indexed.refused, used=0)
+        why = "" if cause is None else f"; {cause['n']} left out: {cause['reason']} [{cause['code']}]"
+        raise InputError(field="SOURCE", problem=f"has no image to look at{why}", remedy="see above")
     began = clock.monotonic()
     with disk_errors(options.target):
         options.target.mkdir(parents=True, exist_ok=True)

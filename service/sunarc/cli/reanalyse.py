@@ -256,3 +256,5 @@ def _print(summary: Summary, target: Path) -> None:
     counts = (counted(images, "image"), counted(suns, "sun"), f"{counted(left_out, 'file')} left out")
     print(f"{', '.join(counts)}, {summary.report['seconds']:.0f} s")
     print(f"report: {target / 'report.html'}")
+    if (headline := summary.report.get("headline")) is not None:
+        print(f"{counted(headline['n'], 'file')} left out: {headline['reason']}")
