@@ -10,6 +10,7 @@ import typer
 from sunarc.archives.ingest import IngestOptions, ingest_folder
 from sunarc.archives.ingest_summary import IngestSummary
 from sunarc.archives.pool import usable_processors
+from sunarc.archives.results import headline_of
 from sunarc.cli.calibrate import calibrate_stored, stated_level
 from sunarc.cli.database import note_running_service
 from sunarc.cli.options import (
@@ -137,3 +138,6 @@ def _print_summary(summary: IngestSummary) -> None:
         print(f"camera: {finding.sentence}")
     if summary.contact_sheet is not None:
         print(f"examples of each verdict: {summary.contact_sheet}")
+    headline = headline_of(summary.skipped, used=sum(summary.by_verdict.values()))
+    if headline is not None:
+        print(f"{counted(headline['n'], 'file')} skipped: {headline['reason']}")
