@@ -75,6 +75,19 @@ def test_a_move_at_night_is_found_between_the_days(simulator: Simulator, days: t
     assert move.turn_deg == pytest.approx(0.5, abs=0.1)
 
 
+@pytest.mark.parametrize("step_s", [18.0])
+def test_a_clock_that_steps_between_two_days_is_named_and_refused(simulator: Simulator, step_s: float) -> None:
+    seen = simulator(days=(0.0, 1.0, 15.0, 29.0), cadence_s=300.0)
+    late = seen.points.unix_s > seen.points.unix_s[0] + 10.0 * 86_400.0
+    points = replace(seen.points, unix_s=seen.points.unix_s + step_s * late)
+    found, _ = calibrate_moved(points, site=seen.site, image_size=SIZE)
+    assert not found.verdict.accepted
+    (named,) = (one.data for one in found.verdict.findings if one.code == "clock_changed")
+    assert float(named["step_s"]) == pytest.approx(step_s, abs=3.0)
+    assert "pose_changed" not in codes(found.verdict.findings)
+    assert [move.cause for move in found.evidence.moves] == ["clock"]
+
+
 @pytest.mark.parametrize("moved", [True, False])
 def test_stars_of_the_night_after_a_move_are_of_the_pose_after_it(simulator: Simulator, *, moved: bool) -> None:
     first = simulator(cadence_s=300.0)

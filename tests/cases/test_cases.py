@@ -134,7 +134,7 @@ TABLES = {
     "f_latitude--5-deg--1-d_lens0": (refused_for("camera_tilted_by_latitude", "tilt_in_doubt"), ""),
     "j_clock-ahead-constant--3-min--4-d_lens0": (accepted_with("clock_unbounded"), ""),
     "q_clock-ahead-60-s-on-the-last-2-of-4-days_lens0": (
-        lambda fit: "clock_changed" in fit.codes or (fit.accepted and fit.honest), "clocks that step"),
+        lambda fit: "clock_changed" in fit.codes or (fit.accepted and fit.honest), ""),
     "c_last-2-of-4-days-resized-0-998_lens0": (
         lambda fit: not fit.accepted or fit.honest, "pictures that change between days"),
     "l_cut-to-whole-pixels----5-px---4-d_lens2": (lambda fit: fit.honest and "pixels_on_grid" in fit.codes, ""),

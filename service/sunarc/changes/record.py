@@ -24,8 +24,8 @@ from sunarc.calibration.lens_library.conditioning import with_lens
 from sunarc.calibration.lens_library.first_pose import first_pose
 from sunarc.calibration.lens_library.lens_type import LensType
 from sunarc.calibration.model.options import USUAL_OPTIONS, CalibrationOptions, FirstPoseOptions, ImageCircle
-from sunarc.calibration.model.pose_change import PoseChange, pose_before, turn_between
-from sunarc.calibration.model.result import Calibration, residuals_by_pose
+from sunarc.calibration.model.pose_change import Cause, PoseChange, pose_before, turn_between
+from sunarc.calibration.model.result import Calibration, refused_for, residuals_by_pose
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.pose import options_about
 from sunarc.calibration.projection_choice import options_as_served
@@ -38,7 +38,8 @@ from sunarc.common.utc import DAY_S, rfc3339, utc_time
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project_fast
 from sunarc.optics.pose import rotation_between
-from sunarc.sky.site import Site
+from sunarc.sky.days import SECONDS_PER_DEGREE
+from sunarc.sky.site import Site, pole_enu
 
 _SIDE = 12
 """Sightings that are looked at on either side of a gap."""
@@ -50,7 +51,10 @@ _MEDIAN_DISTANCE = 1.1774
 """Median length of a round Gaussian vector, in sigmas."""
 _JUMP_SIGMAS = 4.0
 _JUMPS_TRIED = 3
-_NIGHT_RATIO = 4.0
+_NIGHT_RATIO = 2.0
+_BESIDE_POLE, _BESIDE_SIGMAS = 0.1, 3.0
+"""How far a turn may be from one about the celestial pole that is a clock: in itself, and in what is stated of the sky.
+One axis of 200 is so near the pole by chance."""
 _GAIN = 40.0
 """What three more unknowns must take from the squares of the residuals, in variances, wherever the move may be."""
 _MOST = 6
@@ -257,17 +261,25 @@ def same_hours_difference(residual: FloatArray, usable: Sightings, early: IntArr
 
 def _with_moves(solved: Calibration, usable: Sightings, gains: Mapping[float, float]) -> Calibration:
     """Return the calibration with its moves, of known gains by their time, in its evidence and in words."""
-    moves, found = [], []
+    moves, found, stepped = list[PoseChange](), list[Finding](), list[Finding]()
     for row in np.flatnonzero(np.diff(usable.epoch)):
         before, after = usable.unix_s[row : row + 2].tolist()
         turn_deg = turn_between(*solved.poses[usable.epoch[row] :][:2])
         gain = gains.get(after, math.nan)
-        move = PoseChange(time=after, bracket=(before, after), rotation_deg=turn_deg, cause="moved", gain=gain)
+        about_deg = float(turn_deg @ pole_enu(solved.site))
+        beside_deg = float(np.linalg.norm(turn_deg - about_deg * pole_enu(solved.site)))
+        clock = beside_deg < min(_BESIDE_POLE * abs(about_deg), _BESIDE_SIGMAS * solved.sky_rms_deg)
+        cause: Cause = "clock" if clock else "moved"
+        moves.append(PoseChange(time=after, bracket=(before, after), rotation_deg=turn_deg, cause=cause, gain=gain))
         first, last = (rfc3339(utc_time(unix_s), timespec="seconds") for unix_s in (before, after))
-        moves.append(move)
-        found.append(Finding("pose_changed", {"before": first, "after": last, "turn_deg": move.turn_deg}))
+        said: dict[str, str | float] = {"before": first, "after": last, "turn_deg": moves[-1].turn_deg}
+        if clock:  # where it is ahead the sun stands farther east than predicted, as in a camera turned clockwise
+            stepped.append(Finding("clock_changed", {**said, "step_s": -about_deg * SECONDS_PER_DEGREE}))
+        else:
+            found.append(Finding("pose_changed", said))
     verdict = replace(solved.verdict, findings=(*solved.verdict.findings, *found))
-    return replace(solved, evidence=replace(solved.evidence, moves=tuple(moves)), verdict=verdict)
+    moved = replace(solved, evidence=replace(solved.evidence, moves=tuple(moves)), verdict=verdict)
+    return refused_for(moved, *stepped) if stepped else moved
 
 
 # The same in a record of years: rotations of the days tell where to fit.

@@ -170,6 +170,12 @@ def test_what_the_clocks_of_days_have_in_common_is_no_difference_of_theirs() -> 
     np.testing.assert_allclose(found["daily_clock"][:COUNT, :, 2], 0.5 * found["clock"][:COUNT, :, 1], atol=1e-12)
 
 
+def grown(camera: Camera, share: float) -> Camera:
+    """Return a camera whose focal length is larger by a share of itself."""
+    x, y = camera.focal_length_px
+    return replace(camera, focal_length_px=((1.0 + share) * x, (1.0 + share) * y))
+
+
 def test_a_season_is_a_focal_length_that_was_another_before_the_last_sighting() -> None:
     towards, times = np.tile(spread_directions(COUNT), (2, 1)), np.concatenate([SECONDS, SECONDS + 0.5 * YEAR])
     seen = replace(observed(CAMERA, towards), unix_s=times, day=np.repeat([0, 183], COUNT))
@@ -179,7 +185,7 @@ def test_a_season_is_a_focal_length_that_was_another_before_the_last_sighting() 
     changes = seasons_of(times)
     np.testing.assert_allclose(changes[-1], 0.0, atol=1e-15)
     assert np.max(np.abs(changes[0])) == pytest.approx(2.0, rel=0.01)  # from summer to winter
-    longer = replace(CAMERA, focal_length_px=tuple(1.001 * one for one in CAMERA.focal_length_px))
+    longer = grown(CAMERA, 0.001)
     by_share = (project(longer, towards) - project(CAMERA, towards)) / 0.001
     for name, share in SEASONS.items():
         expected = share * by_share[..., None] * changes[:, None]
@@ -334,15 +340,14 @@ def test_a_focal_length_that_follows_the_season_is_taken_out_and_the_camera_is_t
     times = times_of(days, cadence_s=900.0)
     change = share * np.cos(2.0 * np.pi * (times - times[0]) / YEAR + 0.4)
     at_once = project(TRUTH, sun_directions(times, SGP))
-    longer = replace(TRUTH, focal_length_px=tuple(1.001 * one for one in TRUTH.focal_length_px))
+    longer = grown(TRUTH, 0.001)
     pixels = at_once + change[:, None] * (project(longer, sun_directions(times, SGP)) - at_once) / 0.001
     pixels += np.random.default_rng(9).normal(0.0, 0.1, pixels.shape)
     found = calibrate(Sightings.of(unix_s=times, pixels=pixels), site=SGP, image_size=SIZE)
     assert found.verdict.accepted, found.verdict.reasons
     assert ("focal_length_changes" in codes(found)) == (share > 0.0)
     assert found.evidence.log_odds.get("season_share", 0.0) == pytest.approx(np.ptp(change), rel=0.3)
-    now = replace(TRUTH, focal_length_px=tuple((1.0 + change[-1]) * one for one in TRUTH.focal_length_px))
-    error, stated = error_px(found, now)
+    error, stated = error_px(found, grown(TRUTH, float(change[-1])))
     assert 0.001 < error < 1.6 * stated < 0.5
 
 
