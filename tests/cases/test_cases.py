@@ -331,7 +331,6 @@ NIGHTS = {
 
 
 @pytest.mark.parametrize("image", NIGHTS)
-@still_open("stars of any width, among lamps, roofs and aurora")
 def test_the_stars_of_a_single_image_are_named(sunarc: Sunarc, image: str) -> None:
     document = _blind(sunarc, image)
     assert document["accepted"]

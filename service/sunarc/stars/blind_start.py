@@ -46,6 +46,7 @@ from sunarc.stars.views import (
     MOST_LOG10_CHANCE,
     MatchedView,
     StarView,
+    from_all_parts,
     match_views,
     pattern_log10_chance,
     seen_magnitude,
@@ -327,7 +328,7 @@ def _of_pattern(
     if known.circle is None:
         least, greatest = (share * min(image_size) for share in _PATTERN_OF_SIDE)
         radius = (least, max(greatest, radius[1]))
-    sky, clear = image.sky, image.stars.select(~on_cloud(image.stars))
+    sky, clear = image.sky, from_all_parts(image.stars.select(~on_cloud(image.stars)), image_size)
     magnitude = seen_magnitude(sky)
     stars, tilt = bright_stars(sky.directions, magnitude), math.radians(known.max_tilt_deg + _CENTRE_LIKE_TILT_DEG)
     bright = Bright(stars=stars, away=clear.pixels - np.array(field.centre))

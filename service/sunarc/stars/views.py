@@ -12,7 +12,8 @@ from sunarc.calibration.answers.covariance import project_with_covariance, sigma
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.selection import image_parts, surest_of_parts
 from sunarc.common.array_types import BoolArray, FloatArray, NameArray
-from sunarc.detection.stars.matching import StarMatches, match_stars, on_cloud, sky_motion, standing_still
+from sunarc.detection.stars.detect import rank_in_part
+from sunarc.detection.stars.matching import LIMITS, StarMatches, match_stars, on_cloud, sky_motion, standing_still
 from sunarc.detection.values import PredictedStars, Stars
 from sunarc.optics.camera import Camera, inside_image
 from sunarc.optics.forward import project
@@ -142,8 +143,9 @@ def _matched(view: StarView, every: Sequence[StarView]) -> MatchedView:
     if not matches.accepted and pattern_log10_chance(view.camera, view.sky, stars) <= MOST_LOG10_CHANCE:
         # aurora, lamps and hot pixels: that the rest is stars is proven by its pattern
         near = stars.select(_near_a_star(stars, view.predicted))
-        again = match_stars(near, view.predicted)
-        stars, matches = (near, again) if again.accepted else (stars, matches)
+        tried = (match_stars(near, view.predicted, limits=LIMITS[first:]) for first in range(len(LIMITS)))
+        again = next((one for one in tried if one.accepted), None)
+        stars, matches = (stars, matches) if again is None else (near, again)
     # what the fit of a star's centre does not know of: the point spread's shape, the air, the grid of pixels
     return MatchedView(stars=replace(stars, sigma_px=np.hypot(stars.sigma_px, matches.floor_px)), matches=matches)
 
@@ -157,7 +159,17 @@ _STAR_WITHIN = 4.0
 def pattern_log10_chance(camera: Camera, sky: NightSky, stars: Stars) -> float:
     """Return the logarithm of how many cameras would match the bright stars of an image as well by chance."""
     up = sky.select(inside_image(project(camera, sky.directions), (camera.width, camera.height)))
-    return log10_chance(camera, up.directions, seen_magnitude(up), stars.pixels[~on_cloud(stars)])
+    clear = from_all_parts(stars.select(~on_cloud(stars)), (camera.width, camera.height))
+    return log10_chance(camera, up.directions, seen_magnitude(up), clear.pixels)
+
+
+def from_all_parts(stars: Stars, image_size: tuple[int, int]) -> Stars:
+    """Return detections in another order: the brightest of each part of the image, then the next one of each.
+
+    Lamps and roofs are brighter than stars, but in few parts.
+    """
+    rank = rank_in_part(image_parts(stars.pixels, image_size))
+    return stars.select(np.argsort(rank, kind="stable"))
 
 
 def _near_a_star(stars: Stars, predicted: PredictedStars) -> BoolArray:

@@ -109,9 +109,30 @@ def maxima_of(plane: Plane, ground: Background, clipped: BoolArray, usable: Bool
     is_top[:, :edge] = is_top[:, -edge:] = False
     rows, columns = np.nonzero(is_top)
     # a clipped plateau has many equal maxima: the first of each counts
-    order = np.argsort(-response[rows, columns], kind="stable")[: 2 * MOST]
+    order = np.argsort(-response[rows, columns], kind="stable")
     places = np.stack([columns, rows], axis=-1)[order].astype(np.float64)
-    return _single(places, apart * (1.0 + np.any(clipped)))
+    places = _single(_of_all_parts(places, plane.shape, 2 * MOST), apart * (1.0 + np.any(clipped)))
+    return _of_all_parts(places, plane.shape, MOST)
+
+
+_PARTS_ACROSS = 8
+"""Of an image: lamps, roofs and trees about the horizon are in few of its 64 parts."""
+
+
+def _of_all_parts(places: FloatArray, size: tuple[int, ...], most: int) -> FloatArray:
+    """Return at most so many places, in their order: the first of each part of an image, then the next of each."""
+    if places.shape[0] <= most:
+        return places
+    column, row = np.floor(places / np.array(size[::-1]) * _PARTS_ACROSS).astype(np.int64).T
+    return places[np.sort(np.argsort(rank_in_part(_PARTS_ACROSS * row + column), kind="stable")[:most])]
+
+
+def rank_in_part(part: IntArray) -> IntArray:
+    """Return (n,): how many of the same part come before each."""
+    order = np.argsort(part, kind="stable")
+    rank = np.empty(order.size, dtype=np.int64)
+    rank[order] = np.arange(order.size) - np.searchsorted(part[order], part[order])
+    return rank
 
 
 def _single(places: FloatArray, apart: float) -> FloatArray:
@@ -121,7 +142,7 @@ def _single(places: FloatArray, apart: float) -> FloatArray:
     dropped = np.zeros(places.shape[0], dtype=bool)
     for first, second in sorted(cKDTree(places).query_pairs(apart)):
         dropped[second] |= not dropped[first]
-    return places[~dropped][:MOST]
+    return places[~dropped]
 
 
 _ROUNDS = 12
@@ -358,6 +379,9 @@ def detect_stars(
     usable = np.ones(plane.shape, dtype=bool) if mask is None else ~mask
     first = maxima_of(plane, ground, clipped, usable, FIRST_WIDTH_PX)
     shapes = shapes_of_bright(plane, ground, clipped, first, gain_e_per_count)
+    if shapes is None or shapes[0].shape[0] < _FEW:  # aurora and roofs, or stars that this width smears
+        sharp = maxima_of(plane, ground, clipped, usable, _SHARP_WIDTH_PX)
+        shapes = _shapes_of_sharp(plane, ground, clipped, sharp, gain_e_per_count) or shapes
     if shapes is None:
         return _none()
     width = float(np.median(width_of(shapes[1])))
@@ -439,6 +463,10 @@ SHAPE_SNR = 20.0
 """Of stars whose own shape is known to 5 %."""
 ALIKE = (0.6, 1.7)
 """Widths over that of the point spread that a star may have: hot pixels are narrower, clouds, lamps, trails wider."""
+_SHARP_WIDTH_PX, _SHARPEST = 0.6, (0.35, 0.9)
+"""1-sigma of stars whose lens is sharper than a pixel, and its limits: a single pixel has 0.3 and less."""
+_SAME_WIDTH, _FEWEST_SHARP, _SHARE_SHARP = 1.5, 8, 0.25
+"""Widest over narrowest of sources that are alike, how many these are, and their share of the sharp sources."""
 _SHAPES = 300
 """Bright stars that tell the point spread's shape; a quadratic over the image has six numbers each."""
 _FEW = 25
@@ -494,6 +522,30 @@ def shapes_of_bright(
         if not np.any(typical):
             return None  # two of widths that have nothing in common
     return wanted[typical][:_SHAPES], shape[typical][:_SHAPES]
+
+
+def _shapes_of_sharp(
+    plane: Plane, ground: Background, clipped: BoolArray, places: FloatArray, gain_e: float | None
+) -> tuple[FloatArray, FloatArray] | None:
+    """Return places (k, 2) and covariances (k, 3) px² of point sources of a pixel's width that are alike, or None."""
+    if places.shape[0] < _FEWEST_SHARP:
+        return None
+    wanted, variance = places[: 4 * _SHAPES], _SHARP_WIDTH_PX**2
+    stamps, cut_off = stamps_at(plane, ground, clipped, wanted, _SHARP_WIDTH_PX)
+    start = start_at(stamps, wanted, np.tile([variance, 0.0, variance], (wanted.shape[0], 1)))
+    fitted = fit_point_spreads(stamps, start, gain_e=gain_e, shape=True)
+    shape = inverse_shape(fitted.parameters[:, 4:])
+    minor, major = axes_of(shape)
+    good = np.flatnonzero(~cut_off & (minor > 0.25) & (major < 3.0 * minor) & (fitted.snr > FAINTEST_SNR))
+    width = np.sqrt(minor * major)[good]
+    ordered = np.sort(width)
+    count = np.searchsorted(ordered, _SAME_WIDTH * ordered, side="right") - np.arange(ordered.size)
+    if count.size == 0 or int(count.max()) < max(_FEWEST_SHARP, _SHARE_SHARP * ordered.size):
+        return None
+    least = float(ordered[int(np.argmax(count))])
+    like = good[(width >= least) & (width <= _SAME_WIDTH * least)]
+    middle = float(np.median(np.sqrt(minor * major)[like]))
+    return (wanted[like], shape[like]) if _SHARPEST[0] < middle < _SHARPEST[1] else None
 
 
 def shape_at(known: FloatArray, shape: FloatArray, places: FloatArray, size: tuple[int, ...]) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -70,7 +71,9 @@ class _Pairs(NamedTuple):
     difference: FloatArray
 
 
-def match_stars(stars: Stars, predicted: PredictedStars, *, trail_px: float = 0.0) -> StarMatches:
+def match_stars(
+    stars: Stars, predicted: PredictedStars, *, trail_px: float = 0.0, limits: Sequence[float] = LIMITS
+) -> StarMatches:
     """Match detections with the stars that a calibration predicts.
 
     First the bright ones, within 3 sigma of the prediction and the trail: down to the faintest of `LIMITS` at which
@@ -84,17 +87,18 @@ def match_stars(stars: Stars, predicted: PredictedStars, *, trail_px: float = 0.
     stars : detections; what stands still between images should be left out before (`standing_still`).
     predicted : stars to V 5.5, so that a faint neighbour is known.
     trail_px : added to the search's radius.
+    limits : magnitudes to begin with, the faintest first.
     """
     rows = np.flatnonzero(~on_cloud(stars))
-    matches = _matched(stars.select(rows), predicted, trail_px)
+    matches = _matched(stars.select(rows), predicted, trail_px, limits)
     return replace(matches, detection=rows[matches.detection])
 
 
-def _matched(stars: Stars, predicted: PredictedStars, trail_px: float) -> StarMatches:
+def _matched(stars: Stars, predicted: PredictedStars, trail_px: float, limits: Sequence[float]) -> StarMatches:
     radius = _SIGMAS * np.hypot(predicted.sigma_px, _SEEING_PX) + trail_px
     if len(stars) < _FEWEST:
         return _refused(_few(0, stars))
-    limit = next((one for one in LIMITS if _chance(predicted, radius, one) <= _MOST_CHANCE), None)
+    limit = next((one for one in limits if _chance(predicted, radius, one) <= _MOST_CHANCE), None)
     if limit is None:
         return _refused(Finding("stars_prediction_uncertain", {"sigma_px": float(np.median(predicted.sigma_px))}))
     bright = predicted.magnitude <= limit
@@ -116,18 +120,17 @@ def _matched(stars: Stars, predicted: PredictedStars, trail_px: float) -> StarMa
     )
     if findings:
         return _refused(*findings, explained=explained, found=found, scatter_px=scatter)
-    return _corrected(
-        stars, replace(predicted, pixels=predicted.pixels + correction.at(predicted.pixels)), zero, scatter
-    )
+    corrected = replace(predicted, pixels=predicted.pixels + correction.at(predicted.pixels))
+    return _corrected(stars, corrected, zero, scatter, limits[0])
 
 
-def _corrected(stars: Stars, predicted: PredictedStars, zero: FloatArray, scatter: float) -> StarMatches:
+def _corrected(stars: Stars, predicted: PredictedStars, zero: FloatArray, scatter: float, limit: float) -> StarMatches:
     """Return the matches of all stars about the corrected prediction, if that explains the sky as well."""
     near = np.full(len(predicted), 4.0 * max(scatter, _LEAST_SCATTER_PX))
     wide = near + _CLIPPED_PX
-    chance = _chance(predicted, wide, LIMITS[0])
-    explained = _explained(stars, predicted, wide, zero, LIMITS[0])
-    found = _found(stars, predicted, wide, zero, LIMITS[0])
+    chance = _chance(predicted, wide, limit)
+    explained = _explained(stars, predicted, wide, zero, limit)
+    found = _found(stars, predicted, wide, zero, limit)
     measured = {"explained": explained, "found": found, "scatter_px": scatter}
     findings = _shares(explained, found)
     if chance > _MOST_CHANCE or scatter > _MOST_SCATTER_PX:
