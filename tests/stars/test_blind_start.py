@@ -146,6 +146,7 @@ def test_what_does_not_turn_gives_no_camera() -> None:
     none = Stars(**{**columns, "pixels": np.zeros((0, 2)), "saturated": np.zeros(0, dtype=bool)})
     empty = [NightDetections(unix_s=3600.0 * hour, stars=none, sky=_no_sky()) for hour in range(3)]
     assert [finding.code for finding in started(empty).findings] == ["blind_few_images"]
+    assert [finding.code for finding in started(empty[:1]).findings] == ["stars_few"]
 
 
 def _no_sky() -> NightSky:

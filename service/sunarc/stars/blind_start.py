@@ -299,6 +299,9 @@ def _by_pattern(
     """Return the camera that matches the bright stars of one image far beyond chance, or why there is none."""
     lit = sorted((one for one in images if len(one.stars) >= _FEWEST), key=lambda one: -len(one.stars))
     if not lit:
+        if len(images) == 1:  # more images are not what is missing
+            n = len(images[0].stars)
+            return _no_camera(Finding("stars_few", {"n": n, "limit": _FEWEST, "detected": n}))
         turn = math.degrees(SIDEREAL_RATE * float(np.ptp([image.unix_s for image in images]))) if images else 0.0
         few = {"n": len(images), "turn_deg": turn, "limit": _LEAST_TURN_DEG}
         return _no_camera(Finding("blind_few_images", few))
