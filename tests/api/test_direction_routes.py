@@ -93,7 +93,7 @@ def test_at_asks_the_calibration_of_that_time(made: Made) -> None:
 
 def test_without_a_calibration_there_is_no_answer(empty: Made) -> None:
     answer = empty.client.post("/v1/project", json=HERE)
-    assert answer.status_code == 404
+    assert answer.status_code == 503
     assert "wait for a clear day" in answer.json()["detail"]
 
 
