@@ -46,7 +46,7 @@ def test_a_plus_that_became_a_space_is_explained(made: Made) -> None:
     assert answer.status_code == 422
     (fault,) = answer.json()["errors"]
     assert fault["field"] == "at"
-    assert "%2B" in fault["problem"]
+    assert "%2B" in fault["remedy"]
     assert made.client.get("/v1/sun?at=2013-05-13T18:30:00%2B00:00").status_code == 200
     assert "%2B" not in str(made.client.get("/v1/sun?at=2013-05-13 18:30:00").json())
 

@@ -74,7 +74,7 @@ def test_a_day_of_one_sighting_does_not_tell_how_the_camera_is_turned() -> None:
     # of the four days one has a single sighting, in the pixel of which two angles show, exactly
     truth, points = _drawn(37, 4, 0.05)
     fit = calibrate(points, site=SGP, image_size=(truth.width, truth.height))
-    assert 0.0 < fit.evidence.held_out["excess"] < 1.0
+    assert 0.0 <= fit.evidence.held_out["excess"] < 1.0
 
 
 @pytest.mark.parametrize("seed", range(2))

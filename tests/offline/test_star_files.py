@@ -274,7 +274,7 @@ def test_what_is_no_image_of_the_night_is_said(images: list[Path], calibration: 
     black = tmp_path / "20260313_061000.png"
     cv2.imwrite(str(black), np.zeros((SIZE, SIZE), dtype=np.uint8))
     found = find_stars([text, nameless, black], calibration, StarOptions())
-    assert [image.findings[0].code for image in found] == ["file_unreadable", "file_time_unknown", "stars_few"]
+    assert [image.findings[0].code for image in found] == ["file_not_image", "file_time_unknown", "stars_few"]
     assert [image.as_json()["n_stars"] for image in found] == [0, 0, 0]
     assert write_star_sightings(StringIO(), found) == 0
     other = tmp_path / "20260313_062000.png"
@@ -353,4 +353,4 @@ def test_a_file_that_is_no_fits_gets_its_reason(tmp_path: Path) -> None:
     one = read_stars(tmp_path / "a.fits", SITE, StarOptions())
     assert [finding.code for finding in one.findings] == ["file_not_image"]
     gone = read_stars(tmp_path / "gone.fits", SITE, StarOptions())
-    assert [finding.code for finding in gone.findings] == ["file_unreadable"]
+    assert [finding.code for finding in gone.findings] == ["file_not_image"]

@@ -177,8 +177,9 @@ def grown(camera: Camera, share: float) -> Camera:
 
 
 def test_a_season_is_a_focal_length_that_was_another_before_the_last_sighting() -> None:
-    towards, times = np.tile(spread_directions(COUNT), (2, 1)), np.concatenate([SECONDS, SECONDS + 0.5 * YEAR])
-    seen = replace(observed(CAMERA, towards), unix_s=times, day=np.repeat([0, 183], COUNT))
+    towards = np.tile(spread_directions(COUNT), (6, 1))
+    times = np.concatenate([SECONDS + 0.1 * part * YEAR for part in range(6)])
+    seen = replace(observed(CAMERA, towards), unix_s=times, day=np.repeat(36 * np.arange(6), COUNT))
     problem = small_problem(CAMERA)
     found, shared = with_effects(problem, problem.unknowns([CAMERA]), seen)
     columns = {one.name: shared.systematic_px[..., one.columns] for one in found.blocks}
@@ -334,7 +335,7 @@ def test_where_nothing_is_wrong_nothing_is_proven() -> None:
     assert 0.001 < error < 1.6 * stated < 0.3
 
 
-@pytest.mark.parametrize("share", [0.0, 3e-4, 2e-3])
+@pytest.mark.parametrize("share", [0.0, 3e-4, 1e-3])
 def test_a_focal_length_that_follows_the_season_is_taken_out_and_the_camera_is_that_of_now(share: float) -> None:
     days = tuple(np.arange(0.0, 365.0, 21.0).tolist())
     times = times_of(days, cadence_s=900.0)

@@ -61,6 +61,8 @@ _WEEK = 0.02
 """Of a year."""
 _HARMONICS = (1.0, 0.4)
 """1-sigma of the waves once and twice a year, in that of the season."""
+_DAYS_OF_SEASON = 6
+"""Days, as many as the waves of a season have unknowns and one more: fewer are met by any season."""
 _TRENDS = 3
 """Half waves over the record, at most, by which years differ."""
 
@@ -129,7 +131,7 @@ def _displacements(view: _View) -> Iterator[tuple[str, FloatArray]]:
         daily = [CLOCK_OFFSET_S * apart, CLOCK_DRIFT_S_PER_H * view.hours[:, None] * apart]
         yield "daily_clock", by_time * np.concatenate(daily, axis=-1)[:, None]
     yield PIXELS, view.stretch
-    if np.any(seasons := seasons_of(seen.unix_s)):
+    if view.n_days >= _DAYS_OF_SEASON and np.any(seasons := seasons_of(seen.unix_s)):
         for name, share in SEASONS.items():
             yield name, share * view.focal[:, :, None] * seasons[:, None]
     if view.n_days > 2:  # a mount that is turned otherwise on each run of days

@@ -297,7 +297,9 @@ class Bins:
         `first` (bins + 1,) are the sightings that the bins begin at.
         """
         if share.size < _MANY:
-            return lambda columns: np.array([self._sums(share * one) for one in columns.T]).reshape(-1, self.count).T
+            return lambda columns: (
+                np.array([self._sums(share * one) for one in columns.T]).reshape(columns.shape[1], self.count).T
+            )
         from scipy.sparse import csr_array  # noqa: PLC0415 - a fit of one day loads without scipy
 
         to_means = csr_array((share, np.arange(share.size), first), shape=(self.count, share.size))
