@@ -68,6 +68,14 @@ def test_times_are_on_the_minute_where_all_are(seconds: tuple[float, ...], step_
     assert time_step_s(minutes[:19]) == 0.0
 
 
+@pytest.mark.parametrize(
+    ("every", "first", "step_s"), [(1, 0, 60.0), (4, 0, 60.0), (5, 0, 0.0), (20, 0, 0.0), (20, 3, 60.0)]
+)
+def test_times_of_a_schedule_begin_on_the_minute(every: int, first: int, step_s: float) -> None:
+    """Cut times are multiples of the schedule's minutes by chance alone."""
+    assert time_step_s(1_368_403_200.0 + 60.0 * (first + every * np.arange(25.0))) == step_s
+
+
 def test_comparisons_by_one_clock_do_not_have_it(fit: Calibration) -> None:
     stated = with_clock(fit, STATED_S)
     np.testing.assert_allclose(without_clock(stated).covariance, fit.covariance, rtol=1e-6, atol=1e-15)

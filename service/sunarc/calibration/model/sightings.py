@@ -267,6 +267,8 @@ class Sightings:
 _FEWEST_ON_GRID = 20
 _DIGIT_PX, _LEAST_STEP_PX = 1e-4, 0.05
 """Digits to which pixels are compared, and the smallest step that matters."""
+_SCHEDULED_MINUTES = 5
+"""Minutes that all times are multiples of from which on they are those of a schedule."""
 _MINUTE_S = 60.0
 
 
@@ -281,9 +283,16 @@ def grid_steps_px(pixels: FloatArray) -> FloatArray:
 
 
 def time_step_s(unix_s: FloatArray) -> float:
-    """Return the step of times (n,) that are all whole minutes, as a format without seconds writes them, s; else 0."""
+    """Return the step of times (n,) that are all whole minutes, as a format without seconds writes them, s; else 0.
+
+    Times that are all multiples of five minutes or more are those of a schedule, which begins on the minute: times
+    that were cut would be so by chance alone.
+    """
     known = unix_s[np.isfinite(unix_s)]
-    return _MINUTE_S if len(known) >= _FEWEST_ON_GRID and not np.any(known % _MINUTE_S) else 0.0
+    if len(known) < _FEWEST_ON_GRID or np.any(known % _MINUTE_S):
+        return 0.0
+    scheduled = np.gcd.reduce((known / _MINUTE_S).astype(np.int64)) >= _SCHEDULED_MINUTES
+    return 0.0 if scheduled else _MINUTE_S
 
 
 def _column(name: str, values: ArrayLike, length: int | None) -> FloatArray:
