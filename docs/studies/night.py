@@ -81,7 +81,7 @@ CASES = {
 
 
 class Air:
-    """What the air refracts beyond what is assumed, as decision 0009 has it: a share of all days, and one of each."""
+    """Error of the assumed refraction, as in decision 0009: a share of all days, and one of each."""
 
     def __init__(self, rng: np.random.Generator, *, drawn: bool) -> None:
         self._common = ASSUMED_AIR_SD * rng.standard_normal() if drawn else 0.0

@@ -172,7 +172,7 @@ def archive(rng: np.random.Generator, case: str) -> list[str]:
 
 
 def online(rng: np.random.Generator, case: str, *, clock_stepped: bool | None = False) -> list[str]:
-    """Return the first change that is seen in three days, and what it may be instead; one sighting in two minutes."""
+    """Return the first change in three days of a sighting every two minutes, with the other causes that it may have."""
     seen = points(
         rng, case, np.concatenate([times_of(range(6), 80), times_of(range(6, 9), 300, case=case, day=6)]), day=6
     )

@@ -159,7 +159,7 @@ def ghost(rng: np.random.Generator, drawn: World) -> World:
 
 
 def seasonal(weeks: int, share: float, *, step_weeks: int = 1) -> Drawn:
-    """Return what draws a day a week of a lens whose focal length follows the year, and the camera of the last day."""
+    """Return the generator of a day a week by a lens whose focal length follows the year; its camera is the last."""
 
     def drawn(rng: np.random.Generator) -> World:
         place, lens = world.drawn_place(rng), world.drawn_lens(rng)

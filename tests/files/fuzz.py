@@ -73,8 +73,7 @@ from sunarc.sources.image_times import TimeRules, exif_time, sidecar_time, timed
 from sunarc.sources.index import CameraPlan, Selector, read_cameras
 from sunarc.sources.look import PackedMask
 from sunarc.sources.sources import open_source
-from sunarc.sources.stack_files import netcdf_frames, netcdf_images
-from sunarc.sources.video_files import video_frames, video_images
+from sunarc.sources.stack_files import netcdf_frames, netcdf_images, video_frames, video_images
 
 ROOT = Path(__file__).resolve().parents[2]
 SLOWEST_S = 1.0

@@ -27,7 +27,6 @@ APART = {
     "sunarc.imaging.image_circle": "of the core, which computes; its reader is the command line",
     "sunarc.lab.studies.figures": "imports matplotlib, which is of an extra, when something is drawn",
     "sunarc.lab.studies.reports": "of the studies it alone touches the disk; its reader is the command line",
-    "sunarc.sources.video_files": "one kind of file, as FITS and stacks are; OpenCV is loaded for it alone",
     "sunarc.calibration.quality.first_motion": "of the core, which computes; its reader is a worker",
 }
 """Fragments that stay, each with its reason."""

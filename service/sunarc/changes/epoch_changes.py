@@ -123,7 +123,7 @@ def _noise_beside_neighbours(pixels: FloatArray, angle: FloatArray) -> float:
 
 
 class _Linear(NamedTuple):
-    """Residuals of n sightings and what moves them, whitened; columns have unit prior variance."""
+    """Whitened residuals of n sightings and their derivatives; columns have unit prior variance."""
 
     values: FloatArray
     """(n, 2) residuals."""

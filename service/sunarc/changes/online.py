@@ -512,7 +512,7 @@ def finding_of(change: PoseChange) -> Finding:
 
 
 def details_of(change: PoseChange) -> dict[str, Any]:
-    """Return what is stored of a change: its numbers and names, the sentence and the remedy.
+    """Return the stored details of a change: its numbers and names, the sentence and the remedy.
 
     `size` is in degrees of a turn, seconds of a clock, px of a shifted sensor, % of the focal length; 0 where that has
     no meaning.

@@ -262,12 +262,13 @@ def same_hours_difference(residual: FloatArray, usable: Sightings, early: IntArr
 def _with_moves(solved: Calibration, usable: Sightings, gains: Mapping[float, float]) -> Calibration:
     """Return the calibration with its moves, of known gains by their time, in its evidence and in words."""
     moves, found, stepped = list[PoseChange](), list[Finding](), list[Finding]()
+    pole = pole_enu(solved.site)
     for row in np.flatnonzero(np.diff(usable.epoch)):
         before, after = usable.unix_s[row : row + 2].tolist()
         turn_deg = turn_between(*solved.poses[usable.epoch[row] :][:2])
         gain = gains.get(after, math.nan)
-        about_deg = float(turn_deg @ pole_enu(solved.site))
-        beside_deg = float(np.linalg.norm(turn_deg - about_deg * pole_enu(solved.site)))
+        about_deg = float(turn_deg @ pole)
+        beside_deg = float(np.linalg.norm(turn_deg - about_deg * pole))
         clock = beside_deg < min(_BESIDE_POLE * abs(about_deg), _BESIDE_SIGMAS * solved.sky_rms_deg)
         cause: Cause = "clock" if clock else "moved"
         moves.append(PoseChange(time=after, bracket=(before, after), rotation_deg=turn_deg, cause=cause, gain=gain))

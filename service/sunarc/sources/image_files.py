@@ -21,8 +21,15 @@ from sunarc.imaging.preview import decoded
 from sunarc.sources.file_kinds import FILE_KINDS, Kind, kind_of, unread_content, unread_finding
 from sunarc.sources.fits_files import fits_frame, fits_image
 from sunarc.sources.source_files import MOST_PIXELS, FileImage, ImageSource, content_of, not_read, opened, unreadable
-from sunarc.sources.stack_files import NETPBM, netcdf_frames, netcdf_images, netpbm_frames, netpbm_images
-from sunarc.sources.video_files import video_frames, video_images
+from sunarc.sources.stack_files import (
+    NETPBM,
+    netcdf_frames,
+    netcdf_images,
+    netpbm_frames,
+    netpbm_images,
+    video_frames,
+    video_images,
+)
 
 FORMATS = ("JPEG", "PNG", "TIFF", "JPEG2000", "BMP", "WEBP")  # a JPEG of several images (MPO) opens as JPEG
 _FORMAT_LABELS = ", ".join(one.label for one in FILE_KINDS if one.kind == "picture")

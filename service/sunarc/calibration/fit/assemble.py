@@ -276,7 +276,7 @@ def _sways_deg(fit: RobustFit, usable: Sightings) -> tuple[float, float, float]:
 
 
 def _season_share(fit: RobustFit, usable: Sightings) -> dict[str, float]:
-    """Return by what share of itself the focal length changed within the record; nothing where that is not proven."""
+    """Return the relative change of the focal length within the record; nothing where it is not proven."""
     proven = [
         one
         for one in fit.problem.blocks

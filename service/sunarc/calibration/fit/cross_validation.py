@@ -35,7 +35,7 @@ _TURNED = 25.0
 _OPEN = 2.0
 """Variance of a predicted number, in that of the part's noise, beyond which the other parts leave much of it open."""
 _CONTRADICTED = 0.9
-"""Errors over what chance allows from which on a part that is missed by no more than is stated widens what is."""
+"""Ratio of errors to those of chance from which a part that is missed by no more than is stated is widened for."""
 _RADIUS_95 = 2.4477
 """Of a round Gaussian in the plane, 1-sigmas."""
 _SWAYS_DEG = 0.05
@@ -201,7 +201,7 @@ def doubts(fit: RobustFit, usable: Sightings, without: Sequence[_Without]) -> Do
 
 
 def _excess(parts: Sequence[_Part]) -> float:
-    """Return the errors of parts over what chance allows: together, of the largest, of a turn; 0 of none."""
+    """Return the ratio of errors to those of chance, of all parts, the largest one and a turn; 0 without a part."""
     if not parts:
         return 0.0
     square = np.concatenate([part.errors for part in parts]) ** 2

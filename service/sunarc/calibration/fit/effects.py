@@ -21,6 +21,7 @@ from sunarc.calibration.solve.priors import LENS, STRETCH, with_wide_pixels
 from sunarc.calibration.solve.problem import Block, FitProblem, by_elevation
 from sunarc.common.array_types import BoolArray, FloatArray, IntArray
 from sunarc.common.robust_statistics import counted_roots
+from sunarc.common.utc import DAY_S
 from sunarc.optics.camera import Param
 from sunarc.optics.forward import by_direction, project_with_rows_fast
 from sunarc.optics.projections import ideal_radius
@@ -56,7 +57,7 @@ SWAY_DEG = 0.05
 SEASONS = {"season": 3e-4, "season_of_plastic": 2.4e-3}
 """1-sigma of how the focal length follows the year: of glass in aluminium by 1e-5 a kelvin, of plastic by 8e-5. By the
 smaller one alone the season of plastic is taken for a tilt: a summer's sun is higher than a winter's."""
-_YEAR_S = 365.2422 * 86_400.0
+_YEAR_S = 365.2422 * DAY_S
 _WEEK = 0.02
 """Of a year."""
 _HARMONICS = (1.0, 0.4)
