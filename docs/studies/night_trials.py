@@ -30,10 +30,10 @@ from night_matching import WRONG, wrong_camera
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from sunarc.calibration.acceptance import accept
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Kind, Sightings
 from sunarc.calibration.selection import MOST_STARS, image_parts, surest_of_parts
+from sunarc.calibration.verdict import accept
 from sunarc.common.array_types import stacked
 from sunarc.detection.values import Stars
 from sunarc.imager.cameras.frame import Frame

@@ -17,7 +17,7 @@ from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.quality.fit_checks import provisional
+from sunarc.calibration.verdict import provisional
 from sunarc.formats.calibration_document import from_document
 from sunarc.formats.formats import calibration_view
 from sunarc.lab.simulation.truth import SGP, true_camera

@@ -20,7 +20,7 @@ from tests.calibration.conftest import NOON_13_MAY_2013, SGP, SIZE, TRUTH, Simul
 from tests.fixtures.calibration import small_camera, stated_calibration, sun_arc
 from tests.fixtures.stored_answers import require_stored, said
 
-from sunarc.calibration.acceptance import accept, apart_sigmas, chi_square, disagreement, distance_px, pose_spread_deg
+from sunarc.calibration.acceptance import apart_sigmas, chi_square, disagreement, distance_px, pose_spread_deg
 from sunarc.calibration.answers.covariance import (
     hemisphere,
     pose_error,
@@ -36,14 +36,14 @@ from sunarc.calibration.model.pose_change import PoseChange
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings, filter_sightings, static_positions, static_sightings
 from sunarc.calibration.noise import autocorrelation_inflation, growth_rate, lag_one, neighbours
-from sunarc.calibration.quality.day_arcs import unexplained_days
 from sunarc.calibration.quality.day_quality import decide_day, measure_day
 from sunarc.calibration.quality.first_motion import site_contradiction
-from sunarc.calibration.quality.fit_checks import before_fit, determined, fit_verdict, provisional
+from sunarc.calibration.quality.fit_checks import JudgedFit
 from sunarc.calibration.quality.tilt import tilt_question
 from sunarc.calibration.quality.widening import with_pose_spread
 from sunarc.calibration.selection import SelectionOptions, select_sightings, surest_of_epochs
 from sunarc.calibration.stated_prior import PriorTolerances, calibrate_with_prior
+from sunarc.calibration.verdict import UNCERTAIN, UNEXPLAINED, accept, before_fit, findings, fit_verdict, provisional
 from sunarc.changes.daily_rotations import (
     DailyRotations,
     as_shown,
@@ -164,13 +164,13 @@ def _checks(given: Given) -> Numbers:
     usable = filter_sightings(morning, site=SGP)
     unsure = replace(given.fit, covariance=900.0 * given.fit.covariance)
     unsure = replace(unsure, sky_rms_deg=30.0 * given.fit.sky_rms_deg, sky_max_deg=30.0 * given.fit.sky_max_deg)
-    verdict = fit_verdict(unsure, usable, CalibrationOptions())
+    verdict, strict = fit_verdict(unsure, usable, CalibrationOptions()), CalibrationOptions(max_sky_deg=0.01)
     kept = provisional(replace(unsure, verdict=verdict), limit_deg=0.1)
     return said(
         [
             *before_fit(usable, CalibrationOptions()),
             *verdict.findings,
-            *determined(unsure, usable),
+            *findings(UNCERTAIN[2:], JudgedFit(calibration=unsure, usable=usable, options=strict)),
             *kept.verdict.findings,
         ]
     )
@@ -180,8 +180,8 @@ def _unexplained(given: Given) -> Numbers:
     points = given.day.points
     bent = replace(points, pixels=points.pixels + np.where(np.arange(len(points))[:, None] > 200, [0.5, 0.2], 0.0))
     usable = filter_sightings(bent, site=SGP)
-    found = unexplained_days(replace(given.fit, left_out=np.arange(201, len(points))), usable, 0.25)
-    return said([*found])
+    bent_fit = replace(given.fit, left_out=np.arange(201, len(points)))
+    return said([*findings(UNEXPLAINED, JudgedFit(calibration=bent_fit, usable=usable))])
 
 
 def _tilts(_: Given) -> Numbers:

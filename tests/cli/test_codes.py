@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).parents[2]
 SERVICE = ROOT / "service" / "sunarc"
 FILES = sorted(SERVICE.rglob("*.py"))
-MAKERS = ("Finding", "condition", "condition_of", "stepped", "_report")
+MAKERS = ("Finding", "FitCheck", "condition", "condition_of", "stepped", "_report")
 FORMATTED: dict[str, tuple[str, ...]] = {
     "changed_": get_args(ChangeKind),
     "database_": get_args(Recovered),
@@ -125,6 +125,8 @@ def calls_of(tree: ast.AST) -> list[tuple[str, ast.Call]]:
 
 def names_of_data(call: ast.Call, maker: str, dicts: dict[str, ast.Dict]) -> set[str] | None:
     """Return the names of the data that a call gives; None where they are not written out."""
+    if maker == "FitCheck":
+        return names_of_check(call)
     if maker != "Finding":
         given = {keyword.arg for keyword in call.keywords} | ({"name"} if maker == "condition_of" else set())
         return None if maker == "stepped" or None in given else {str(name) for name in given}
@@ -137,6 +139,38 @@ def names_of_data(call: ast.Call, maker: str, dicts: dict[str, ast.Dict]) -> set
         return None
     keys = [key for part in [data, *spread] if part is not None for key in part.keys if key]
     return {str(getattr(key, "value", "")) for key in keys}
+
+
+MEASURED = ("acceptance.py", "quality/day_clocks.py", "quality/fit_checks.py")
+"""Files of the functions whose answers are the data of checks."""
+
+
+@cache
+def measures() -> dict[str, ast.FunctionDef]:
+    """Return the functions of these files by name."""
+    trees = [tree_of(SERVICE / "calibration" / path) for path in MEASURED]
+    return {node.name: node for tree in trees for node in tree.body if isinstance(node, ast.FunctionDef)}
+
+
+def answers_of(name: str) -> list[ast.Dict]:
+    """Return the mappings that a measure returns, or the function that it calls for its answer."""
+    if name not in measures():
+        return []
+    returned = [node.value for node in ast.walk(measures()[name]) if isinstance(node, ast.Return) and node.value]
+    parts = [part for value in returned for part in ast.walk(value)]
+    called = [getattr(part.func, "id", "") for part in parts if isinstance(part, ast.Call)]
+    return [part for part in parts if isinstance(part, ast.Dict)] + [one for of in called for one in answers_of(of)]
+
+
+def names_of_check(call: ast.Call) -> set[str] | None:
+    """Return the names of the data of a check: those of its measure, which all its answers have, and of its limit."""
+    name = getattr(call.args[1], "attr", getattr(call.args[1], "id", ""))
+    written = answers_of(name) or [one for one in ast.walk(call.args[1]) if isinstance(one, ast.Dict)]
+    if not written or any(None in one.keys for one in written):
+        return None
+    names = [{str(getattr(key, "value", "")) for key in one.keys} for one in written]
+    limit = [one.value for part in call.args[2:] for one in ast.walk(part) if isinstance(one, ast.Constant)]
+    return set.intersection(*names) | {str(one) for one in limit}
 
 
 def test_a_finding_has_the_data_that_its_sentence_and_its_action_need() -> None:

@@ -45,7 +45,7 @@ PHRASES = re.compile(
     re.IGNORECASE,
 )
 """Phrases of no textbook, in docstrings and in documents by hand."""
-GENERATED = {"codes.md", "settings.md", "metrics.md", "results.md", "booted.md", "campaign.md"}
+GENERATED = {"checks.md", "codes.md", "settings.md", "metrics.md", "results.md", "booted.md", "campaign.md"}
 """Pages that a command writes."""
 SHORT_LINES = 80
 LONG_SIGNATURE = 7

@@ -13,8 +13,13 @@ import pytest
 
 @pytest.fixture(scope="module")
 def drawing(root: Path) -> ModuleType:
-    path = root / "docs" / "architecture" / "draw_rooms.py"
-    specification = importlib.util.spec_from_file_location("draw_rooms", path)
+    return script(root, "draw_rooms")
+
+
+def script(root: Path, name: str) -> ModuleType:
+    """Return a script of docs/architecture as a module."""
+    path = root / "docs" / "architecture" / f"{name}.py"
+    specification = importlib.util.spec_from_file_location(name, path)
     assert specification is not None
     assert specification.loader is not None
     module = importlib.util.module_from_spec(specification)
@@ -27,6 +32,11 @@ def test_the_stored_pictures_are_those_of_the_sources(drawing: ModuleType, root:
     drawn = drawing.pictures(root)
     stored = {path.name: path.read_text(encoding="utf-8") for path in folder.glob("*.svg")}
     assert stored == drawn, "run: python docs/architecture/draw_rooms.py"
+
+
+def test_the_page_of_checks_is_that_of_the_table(root: Path) -> None:
+    page = (root / "docs" / "checks.md").read_text(encoding="utf-8")
+    assert page == script(root, "checks").page(), "run: python docs/architecture/checks.py"
 
 
 def test_every_room_of_the_library_is_in_its_picture(drawing: ModuleType, root: Path) -> None:

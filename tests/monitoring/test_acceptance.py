@@ -10,10 +10,11 @@ import pytest
 from tests.finding_codes import codes
 
 from sunarc.calibration import acceptance
-from sunarc.calibration.acceptance import accept, distance_px, unseen_points
+from sunarc.calibration.acceptance import distance_px, unseen_points
 from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.model.result import Verdict
 from sunarc.calibration.model.sightings import Sightings
+from sunarc.calibration.verdict import accept
 from sunarc.common.findings import Finding
 from sunarc.optics.camera import PARAMETER_NAMES
 from sunarc.optics.forward import project, project_with_rows_fast

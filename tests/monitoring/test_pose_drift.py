@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sunarc.calibration.acceptance import accept, pose_spread_deg
+from sunarc.calibration.acceptance import pose_spread_deg
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.quality.widening import with_pose_spread
+from sunarc.calibration.verdict import accept
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix, rotation_vector
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import partial, reduce
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,10 +31,11 @@ from sunarc.calibration.model.pose_change import PoseChange
 from sunarc.calibration.model.result import Calibration, refused_for, with_finding
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.projection_choice import options_as_served
-from sunarc.calibration.quality.fit_checks import is_undetermined, provisional, site_assumed, tilt_in_doubt
+from sunarc.calibration.quality.fit_checks import JudgedFit
 from sunarc.calibration.quality.tilt import tilt_question
 from sunarc.calibration.quality.widening import with_clock, with_larger_errors, with_pose_spread
 from sunarc.calibration.selection import select_sightings, surest_of_epochs
+from sunarc.calibration.verdict import ASKED, PARTS, SITE_ASSUMED, findings, fired, is_undetermined, provisional
 from sunarc.changes.epoch_changes import (
     agreeing_days,
     change_within,
@@ -412,9 +413,6 @@ def _allowing_for_drift(final: Final, given: CameraSightings, noise: FloatArray)
 
 _FEWEST_OF_PART = 30
 """Sightings of a part of an epoch that a camera of its own is fitted to."""
-_PARTS_APART = 2.5
-"""Stated sigmas between the camera of a part and that of all: of 37 right ones at most 2.1, of those with pixels that
-are not square, which make up for a drift, 5 and 10."""
 
 
 def _held_to_parts(final: Final, given: CameraSightings) -> Final:
@@ -451,9 +449,11 @@ def _parts_of(points: Sightings) -> Iterator[Sightings]:
 
 def _held_to(fitted: FittedPose, sigmas: float) -> FittedPose:
     """Return a calibration from which that of some part lies so many stated sigmas."""
-    if sigmas > _PARTS_APART:
-        return _refused(fitted, Finding("parts_disagree", {"sigmas": sigmas, "limit": _PARTS_APART}))
-    return fitted if sigmas <= 1.0 else fitted._replace(calibration=with_larger_errors(fitted.calibration, sigmas))
+    for check, finding in fired(PARTS, sigmas):
+        if check.effect == "refuse":
+            return _refused(fitted, finding)
+        return fitted._replace(calibration=with_larger_errors(fitted.calibration, sigmas))
+    return fitted
 
 
 def _held_to_level(final: Final) -> Final:
@@ -462,18 +462,15 @@ def _held_to_level(final: Final) -> Final:
     Site and clock are those of all poses.
     """
     accepted = {pose: one for pose, one in final.fitted.items() if one.calibration.verdict.accepted}
-    doubts_of = {pose: tilt_in_doubt(one.calibration) for pose, one in accepted.items()}
+    judged = {pose: JudgedFit(calibration=one.calibration) for pose, one in accepted.items()}
+    asked = {pose: findings(ASKED, one) for pose, one in judged.items()}
     fitted = dict(final.fitted)
-    if not all(doubts_of.values()):
-        for pose, one in accepted.items():
-            said = one.calibration
-            for finding in site_assumed(said):
-                said = with_finding(said, finding)
+    for pose, one in accepted.items():
+        if all(asked.values()):
+            fitted[pose] = _refused(one, *asked[pose])
+        else:
+            said = reduce(with_finding, findings(SITE_ASSUMED, judged[pose]), one.calibration)
             fitted[pose] = one._replace(calibration=said)
-        return final._replace(fitted=fitted)
-    for pose, doubt in doubts_of.items():
-        question = tilt_question(fitted[pose].calibration.camera, fitted[pose].calibration.site)
-        fitted[pose] = _refused(fitted[pose], *filter(None, (question, doubt)))
     return final._replace(fitted=fitted)
 
 

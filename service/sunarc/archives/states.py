@@ -23,8 +23,8 @@ from sunarc.calibration.model.pose_change import Cause
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.pose import estimate_pose
-from sunarc.calibration.quality.fit_checks import is_undetermined
 from sunarc.calibration.quality.tilt import mount_density
+from sunarc.calibration.verdict import is_undetermined
 from sunarc.changes.epoch_changes import EpochCause, noise_of_days
 from sunarc.common.array_types import BoolArray, FloatArray, IntArray, evenly_spread
 from sunarc.common.findings import Finding

@@ -2,7 +2,7 @@
 
 `calibrate` the entry · `model` values · `answers` what a calibration says of pixels and directions · `selection` and
 `noise` of sightings · `start` a first camera · `solve` least squares · `fit` the robust fit · `paper` the reference
-method · `quality` verdicts · `pose` and `stated_prior` a lens that is known ·
-`projection_choice` and `handedness` of an unknown lens · `acceptance` of a fit in place of the served one ·
-`lens_library` types of lens. The maths: docs/maths.md.
+method · `verdict` the table of checks, of the measures of `quality` and `acceptance` · `pose` and `stated_prior` a
+lens that is known · `projection_choice` and `handedness` of an unknown lens · `lens_library` types of lens. The
+maths: docs/maths.md.
 """

@@ -1,11 +1,11 @@
-"""Whether a fit may take the place of the calibration in use; drift of the pose from day to day."""
+"""Comparison of a fit with the calibration in use; drift of the pose from day to day."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from dataclasses import dataclass
 from datetime import date
-from typing import NamedTuple
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,11 +17,11 @@ from sunarc.calibration.answers.covariance import (
     without_clock,
 )
 from sunarc.calibration.evidence import squared_sigmas
-from sunarc.calibration.model.result import Calibration, Verdict
+from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings, apparent_directions
 from sunarc.calibration.quality.widening import fit_direction_sigma_rms_deg
 from sunarc.common.array_types import FloatArray
-from sunarc.common.findings import Finding
+from sunarc.common.findings import Data
 from sunarc.common.robust_statistics import MAD_TO_SIGMA
 from sunarc.optics.camera import FOCAL_LENGTH, PARAMETER_NAMES
 from sunarc.optics.forward import project
@@ -60,15 +60,11 @@ def pose_spread_deg(turns_deg: ArrayLike, sigmas_deg: ArrayLike) -> tuple[float,
 
 _WORSE = 1.15
 """Growth of the stated 1-sigma that still counts as staying."""
-_MUCH_WORSE = 1.5
 _FOUND_OUT = 4.0
 """Growth that is accepted of a fit of more days: the uncertainty of the current one was too small."""
 _FAR_SIGMAS = 5.0
-_SHOWN = 0.5
-_CHANGED = 2.0
-"""Change over the sky, in units of the larger of both stated sigmas, that needs proof by later sightings."""
-_HELD_OUT_RATIOS = (2.0, 4.0)
-"""Held-out error over what was expected: marginal, refused."""
+SHOWN = 0.5
+"""Share of the sky over which two calibrations may contradict each other."""
 _PROOF = 100.0
 """By how much the sightings since must be met better, as a difference of chi-squares."""
 _OUTLIER = 9.0
@@ -76,44 +72,7 @@ _NEW = 1e-3
 """Change of the camera or of what is stated, as a share of what is stated, below which a fit adds no information."""
 
 
-def accept(
-    candidate: Calibration,
-    current: Calibration | None = None,
-    *,
-    same_pose: bool = True,
-    unseen: Sightings | None = None,
-) -> Verdict:
-    """Return whether a candidate may become the current calibration.
-
-    It may where its own verdict allows, where it predicts days left out about as well as it states, where it is not
-    less sure of the sky than the current one (or knows more, and finds that one too sure of itself), and where the
-    two agree within what they say of themselves: so the error served does not rise by more than twice what is stated.
-    A larger change needs proof: that the sightings since are met far better. One that says the same again is
-    marginal: the current one stays.
-
-    Parameters
-    ----------
-    candidate : the new fit.
-    current : the one in use; None where there is none.
-    same_pose : whether both speak of the same pose epoch; if not, agreement is not asked for.
-    unseen : sightings of the current pose epoch, of days that the current one does not know.
-    """
-    if not candidate.verdict.accepted:
-        return candidate.verdict
-    if current is not None:
-        current = _in_any_season(without_clock(current), candidate.evidence.log_odds.get("season_share", 0.0))
-    found = (Finding("first_calibration"), *candidate.verdict.findings)
-    against = [*_held_out_problems(candidate)]
-    if current is not None:
-        found = (Finding("direction_sigma_compared", _sigmas(candidate, current)),)
-        against += _compared(candidate, current, same_pose=same_pose, unseen=unseen)
-    if not against:
-        return Verdict(accepted=True, findings=found)
-    against.sort(key=lambda one: not one.refuses)
-    return Verdict(accepted=False, marginal=not against[0].refuses, findings=tuple(one.finding for one in against))
-
-
-def _in_any_season(calibration: Calibration, share: float) -> Calibration:
+def in_any_season(calibration: Calibration, share: float) -> Calibration:
     """Return a calibration with a focal length that may be another by now, by a share of itself (1-sigma).
 
     What it states of the sky stays that of its own time.
@@ -133,42 +92,91 @@ def unseen_points(points: Sightings, current: Calibration) -> Sightings:
     return points.select((points.epoch == points.epoch.max(initial=0)) & ~np.isin(day, known_days))
 
 
-class _Against(NamedTuple):
-    """What speaks against a candidate, and whether it refuses it; else it is marginal."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Succession:
+    """Fit that may take the place of the calibration in use."""
 
-    finding: Finding
-    refuses: bool = False
+    candidate: Calibration
+    current: Calibration | None = None
+    """The one in use, without the clock's error that is stated for all sightings; None where there is none."""
+    same_pose: bool = True
+    """Whether both are of the same pose epoch; if not, agreement is not asked for."""
+    unseen: Sightings | None = None
+    """Sightings of the current pose epoch, of days that the current one does not know."""
 
+    @property
+    def comparable(self) -> Calibration | None:
+        """The one in use, where it is of the same pose and handedness."""
+        current = self.current
+        same = self.same_pose and current is not None and current.camera.mirrored == self.candidate.camera.mirrored
+        return current if same else None
 
-def _held_out_problems(candidate: Calibration) -> Iterator[_Against]:
-    found, expected = candidate.metrics.held_out_rmse_px, candidate.metrics.held_out_expected_px
-    if found is not None and expected is not None and found > _HELD_OUT_RATIOS[0] * expected:
-        finding = Finding("cross_validation_rmse", {"rmse_px": found, "expected_px": expected})
-        yield _Against(finding, found > _HELD_OUT_RATIOS[1] * expected)
-
-
-def _compared(
-    candidate: Calibration, current: Calibration, *, same_pose: bool, unseen: Sightings | None
-) -> Iterator[_Against]:
-    """Yield what speaks against the candidate in comparison with the current one."""
-    if candidate.camera.mirrored != current.camera.mirrored:
-        yield _Against(Finding("handedness_differs"), refuses=True)
-    elif same_pose and says_the_same(candidate, current):
-        yield _Against(Finding("no_change", {"limit": _NEW}))
-    elif same_pose:
-        change = _change(candidate, current)
-        if change is not None and (change.refuses or not _met_better(candidate, current, unseen)):
-            yield change
-        sigmas = _sigmas(candidate, current)
-        before, now = sigmas["before_deg"], sigmas["now_deg"]
-        allowed = _FOUND_OUT if _knows_more(candidate, current) else _WORSE
-        if not now <= allowed * before:
-            yield _Against(
-                Finding("direction_sigma_increased", sigmas), refuses=not now <= _MUCH_WORSE * allowed * before
-            )
+    @cached_property
+    def changed_from(self) -> Calibration | None:
+        """The comparable one, where the candidate adds to it."""
+        current = self.comparable
+        return None if current is None or says_the_same(self.candidate, current) else current
 
 
-def _sigmas(candidate: Calibration, current: Calibration) -> dict[str, float]:
+def cross_validation(succession: Succession) -> Data | None:
+    """Return the errors on days left out, as found and as expected."""
+    found, expected = (getattr(succession.candidate.metrics, f"held_out_{one}_px") for one in ("rmse", "expected"))
+    return None if found is None or expected is None else {"rmse_px": found, "expected_px": expected}
+
+
+def other_hand(succession: Succession) -> Data | None:
+    """Return that the handedness is another one."""
+    current = succession.current
+    return None if current is None or current.camera.mirrored == succession.candidate.camera.mirrored else {}
+
+
+def contradiction(succession: Succession) -> Data | None:
+    """Return over which share of the sky both contradict each other."""
+    if succession.changed_from is None:
+        return None
+    share, worst_px = disagreement(succession.candidate, succession.changed_from)
+    return {"share": share, "distance_px": worst_px}
+
+
+def growth(succession: Succession) -> Data | None:
+    """Return the stated uncertainties of both."""
+    current = succession.changed_from
+    return None if current is None else sigmas_of(succession.candidate, current)
+
+
+def allowed_growth(succession: Succession) -> float:
+    """Return 1.15; 4 of a fit of more days and about as many sightings."""
+    current = succession.current
+    return _FOUND_OUT if current is not None and _knows_more(succession.candidate, current) else _WORSE
+
+
+def largest_growth(succession: Succession) -> float:
+    """Return 1.5 times what is allowed."""
+    return 1.5 * allowed_growth(succession)
+
+
+def no_change(succession: Succession) -> Data | None:
+    """Return that both say the same."""
+    return {"limit": _NEW} if succession.comparable is not None and succession.changed_from is None else None
+
+
+def unproven_change(succession: Succession) -> Data | None:
+    """Return the change over the sky, and the larger of both stated; None where later sightings prove it.
+
+    One that contradicts the current calibration is refused in any case.
+    """
+    candidate, current = succession.candidate, succession.changed_from
+    if current is None or _met_better(candidate, current, succession.unseen):
+        return None
+    if disagreement(candidate, current)[0] > SHOWN:
+        return None
+    difference, first, second = _over_the_sky(candidate, current)
+    stated = max(float(np.sqrt(np.mean(np.trace(part, axis1=1, axis2=2)))) for part in (first, second))
+    return {"change_px": float(np.sqrt(np.mean(np.sum(difference**2, axis=-1)))), "stated_px": stated}
+
+
+def sigmas_of(candidate: Calibration, current: Calibration) -> dict[str, float]:
+    """Return the stated 1-sigma over the sky, degrees, of the fits alone."""
     return {"now_deg": fit_direction_sigma_rms_deg(candidate), "before_deg": fit_direction_sigma_rms_deg(current)}
 
 
@@ -186,18 +194,6 @@ def says_the_same(candidate: Calibration, current: Calibration) -> bool:
     difference, _, uncertainty = _over_the_sky(candidate, current)
     moved = float(np.sum(difference**2)) <= _NEW**2 * float(np.sum(np.trace(uncertainty, axis1=1, axis2=2)))
     return moved and math.isclose(candidate.sky_rms_deg, current.sky_rms_deg, rel_tol=_NEW)
-
-
-def _change(candidate: Calibration, current: Calibration) -> _Against | None:
-    share, worst_px = disagreement(candidate, current)
-    if share > _SHOWN:
-        return _Against(Finding("contradicts_active", {"share": share, "distance_px": worst_px}), refuses=True)
-    difference, first, second = _over_the_sky(candidate, current)
-    uncertainty = max(float(np.sqrt(np.mean(np.trace(part, axis1=1, axis2=2)))) for part in (first, second))
-    change = float(np.sqrt(np.mean(np.sum(difference**2, axis=-1))))
-    if change <= _CHANGED * uncertainty:
-        return None
-    return _Against(Finding("change_not_confirmed", {"change_px": change, "stated_px": uncertainty}))
 
 
 def _met_better(candidate: Calibration, current: Calibration, unseen: Sightings | None) -> bool:

@@ -17,7 +17,8 @@ from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.paper import fit_as_paper
 from sunarc.calibration.plausible_start import most_plausible_start
 from sunarc.calibration.projection_choice import ChosenLens, chosen_lens
-from sunarc.calibration.quality.fit_checks import TILT, TILT_SHOWN, before_fit, below_horizon
+from sunarc.calibration.quality.fit_checks import TILT, TILT_SHOWN
+from sunarc.calibration.verdict import before_fit, below_horizon
 from sunarc.common.errors import InputError
 from sunarc.common.findings import Finding
 from sunarc.optics.camera import Camera

@@ -19,8 +19,8 @@ from sunarc.calibration.fit.robust_fit import RobustFit, fit_robustly
 from sunarc.calibration.model.sightings import Kind, filter_sightings
 from sunarc.calibration.noise import NoiseGroups
 from sunarc.calibration.plausible_start import Hand, Start, plausible_start
-from sunarc.calibration.quality.fit_checks import before_fit, below_horizon
 from sunarc.calibration.quality.tilt import LEVEL_DEG, mount_density, tilt_deg
+from sunarc.calibration.verdict import before_fit, below_horizon
 from sunarc.common.findings import Finding
 from sunarc.optics.pose import rotation_matrix
 

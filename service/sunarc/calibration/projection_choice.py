@@ -23,8 +23,9 @@ from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import STRONG_EVIDENCE, Calibration, Verdict
 from sunarc.calibration.noise import NoiseGroups, measured_noise
 from sunarc.calibration.plausible_start import Start, most_plausible_start
-from sunarc.calibration.quality.fit_checks import before_fit, too_uncertain
+from sunarc.calibration.quality.fit_checks import JudgedFit
 from sunarc.calibration.start.initial_guess import single_problem
+from sunarc.calibration.verdict import UNCERTAIN, before_fit, findings
 from sunarc.common.array_types import FloatArray
 from sunarc.common.findings import Finding
 from sunarc.optics.camera import PARAMETER_NAMES, Camera
@@ -116,7 +117,8 @@ class ChosenLens(NamedTuple):
         cameras = [fitted_camera(self.fits[name]) for name in self.choice.possible if name in self.fits]
         widened, off_deg = _with_differences(calibration, cameras)
         verdict, finding = widened.verdict, self.choice.finding(off_deg)
-        against = tuple(too_uncertain(widened, self.job.usable, self.job.options)) if verdict.accepted else ()
+        judged = JudgedFit(calibration=widened, usable=self.job.usable, options=self.job.options)
+        against = findings(UNCERTAIN, judged) if verdict.accepted else ()
         if against:
             return replace(widened, verdict=Verdict(accepted=False, findings=(*against, finding)))
         found = (_with_sigma(one, widened.sky_rms_deg) for one in verdict.findings)

@@ -14,10 +14,10 @@ from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, Mi
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings, time_step_s
 from sunarc.calibration.pose import estimate_pose
-from sunarc.calibration.quality.fit_checks import provisional
 from sunarc.calibration.quality.tilt import require_level
 from sunarc.calibration.quality.widening import with_clock, with_whole_minutes
 from sunarc.calibration.stated_prior import PriorTolerances, calibrate_with_prior
+from sunarc.calibration.verdict import provisional
 from sunarc.changes.record import Moved, calibrate_moved, calibrate_with_lens
 from sunarc.common.errors import InputError
 from sunarc.common.findings import Finding

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from sunarc.calibration.acceptance import accept
 from sunarc.calibration.answers.covariance import (
     hemisphere,
     project_with_covariance,
@@ -24,6 +23,7 @@ from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve import problem as bins_module
+from sunarc.calibration.verdict import accept
 from sunarc.common.errors import InputError
 from sunarc.formats.calibration_document import from_document, to_document
 from sunarc.optics.backward import back_project

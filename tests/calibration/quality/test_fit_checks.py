@@ -14,7 +14,7 @@ from tests.fixtures.calibration import SGP, filtered_sightings, small_camera, st
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import Filtering, Sightings, filter_sightings
-from sunarc.calibration.quality.fit_checks import before_fit, fit_verdict
+from sunarc.calibration.verdict import before_fit, fit_verdict
 from sunarc.optics.pose import rotation_matrix, rotation_vector
 
 NOON = 1_368_469_800.0  # 2013-05-13T18:30:00Z

@@ -26,10 +26,10 @@ from sunarc.calibration.model import result
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.residual_field import Field
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.quality.fit_checks import fit_verdict
 from sunarc.calibration.quality.widening import with_pose_spread
 from sunarc.calibration.solve.priors import FREE, FREE_NAMES, LENS, N_LENS, lens_prior, precisions
 from sunarc.calibration.start.initial_guess import level_camera
+from sunarc.calibration.verdict import fit_verdict
 from sunarc.common.array_types import BoolArray, FloatArray
 from sunarc.common.findings import Finding
 from sunarc.optics.backward import NO_BACKWARD, fit_backward

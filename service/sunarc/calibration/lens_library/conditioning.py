@@ -29,10 +29,10 @@ from sunarc.calibration.model.result import (
     with_options,
 )
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
-from sunarc.calibration.quality.fit_checks import fit_verdict
 from sunarc.calibration.solve.levenberg_marquardt import most_probable
 from sunarc.calibration.solve.priors import FREE, N_LENS, LensPrior
 from sunarc.calibration.solve.problem import problem_for
+from sunarc.calibration.verdict import fit_verdict
 from sunarc.common.array_types import BoolArray, FloatArray, IntArray
 from sunarc.common.findings import Finding
 from sunarc.common.robust_statistics import finite

@@ -47,9 +47,14 @@ def probability(log_odds: float) -> float:
     return 1.0 / (1.0 + math.exp(min(_SUSPICION - log_odds, _CERTAINLY_NOT)))
 
 
+def proof_of(error: str) -> float:
+    """Return the log odds beyond which an error that sightings share is proven, see `fit.effects`."""
+    return _PROOF_OF.get(error, _PROOF)
+
+
 def proves(error: str, log_odds: float) -> bool:
-    """Return whether log odds prove an error that sightings share, see `fit.effects`."""
-    return log_odds > _PROOF_OF.get(error, _PROOF)
+    """Return whether log odds prove an error that sightings share."""
+    return log_odds > proof_of(error)
 
 
 # How well a fit meets the sightings (Eq. 27), and both readings of SD.

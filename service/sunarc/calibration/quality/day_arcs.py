@@ -13,7 +13,7 @@ from sunarc.calibration.answers.covariance import project_with_covariance
 from sunarc.calibration.model.result import Calibration, residuals_by_pose
 from sunarc.calibration.model.sightings import Kind, Sightings
 from sunarc.common.array_types import BoolArray, FloatArray, IntArray
-from sunarc.common.findings import Finding
+from sunarc.common.findings import Data
 from sunarc.common.robust_statistics import cauchy_weights, robust_sigma, tukey_weights
 from sunarc.common.utc import DAY_S
 from sunarc.sky.days import date_of_day
@@ -82,8 +82,6 @@ _MISFIT_PX = 0.3
 """1-sigma by which lens, air and mount may be wrong all through a half-day, px; the fit's scatter if larger."""
 _FAR = 5.0
 """Sigmas: as far off as a single sighting that counts nothing."""
-_FEW_HALF_DAYS = 0.05
-"""Share of the half-days of a long record that may be so far off: smoke, a ladder on the mast. Of ten days none may."""
 _LARGEST_CORRELATION = 0.995
 _MEDIAN = 1.2533
 """1-sigma of a median over that of a mean: the root of π / 2."""
@@ -97,8 +95,15 @@ class _HalfDay(NamedTuple):
     day: int
 
 
-def unexplained_days(calibration: Calibration, usable: Sightings, limit: float) -> tuple[Finding, ...]:
-    """Return by how much a fit fails to explain the days of its sightings; nothing where it explains them.
+class Unexplained(NamedTuple):
+    """Data of two findings: the sightings of clear days that were left out, and the half-days that lie far off."""
+
+    left_out: Data
+    far: Data | None
+
+
+def unexplained_days(calibration: Calibration, usable: Sightings) -> Unexplained | None:
+    """Return by how much a fit fails to explain the days of its sightings; None where it is not known which it used.
 
     Of the sun's track alone. A day is clear where its sightings run smoothly about the fit, however far off they lie:
     false sightings scatter, and those of another lens do not. So is one whose left-out sightings run smoothly.
@@ -107,10 +112,9 @@ def unexplained_days(calibration: Calibration, usable: Sightings, limit: float) 
     ----------
     calibration : the fit, with the sightings that it used.
     usable : the sightings that it was given.
-    limit : largest share of the sightings of clear days that may be left out, of all and of the last epoch.
     """
     if calibration.left_out is None:
-        return ()
+        return None
     track = (usable.kind == Kind.SUN) & ~usable.alone
     # as far as the lens is defined
     camera = replace(calibration.camera, max_angle=np.pi)
@@ -133,16 +137,19 @@ def unexplained_days(calibration: Calibration, usable: Sightings, limit: float) 
         if left_out.size >= _FEWEST_FOR_SHARE:
             clear[rows] = _runs_smoothly(residual[left_out], usable.unix_s[left_out], largest)[0]
     share, n = max(_left_out(clear, used), _left_out(clear & (usable.epoch == usable.epoch.max(initial=0)), used))
-    found = []
-    if share > limit:
-        found.append(Finding("epoch_does_not_explain_its_days", {"share": share, "n": n, "limit": limit}))
     far = [one for one in halves if one.sigmas > _FAR]
-    if len(far) > _FEW_HALF_DAYS * len(halves):
-        worst = max(far, key=lambda one: one.sigmas)
-        counts = {"n_far": len(far), "n_half_days": len(halves), "far": _FAR}
-        size = {"off_px": worst.off_px, "sigmas": worst.sigmas}
-        found.append(Finding("half_days_deviate", {**counts, **size, "day": date_of_day(worst.day).isoformat()}))
-    return tuple(found)
+    if not far:
+        return Unexplained({"share": share, "n": n}, None)
+    worst = max(far, key=lambda one: one.sigmas)
+    far_off: Data = {
+        "n_far": len(far),
+        "n_half_days": len(halves),
+        "far": _FAR,
+        "off_px": worst.off_px,
+        "sigmas": worst.sigmas,
+        "day": date_of_day(worst.day).isoformat(),
+    }
+    return Unexplained({"share": share, "n": n}, far_off)
 
 
 def _runs_smoothly(residual: FloatArray, unix_s: FloatArray, largest_px: float) -> tuple[bool, FloatArray]:

@@ -10,8 +10,9 @@ import numpy as np
 
 from sunarc.calibration.model.result import Calibration, proves, residuals_by_pose
 from sunarc.calibration.model.sightings import Kind, Sightings
+from sunarc.calibration.quality.fit_checks import JudgedFit
 from sunarc.common.array_types import FloatArray, IntArray
-from sunarc.common.findings import Finding
+from sunarc.common.findings import Data
 from sunarc.optics.forward import by_direction, project_with_rows_fast
 from sunarc.sky.site import EARTH_RATE
 
@@ -51,17 +52,13 @@ class _Days(NamedTuple):
         return max(tried)
 
 
-def unsteady_clock(calibration: Calibration, usable: Sightings) -> Finding | None:
-    """Return that the clock of the sun's sightings differs from day to day; None where they do not prove it.
+def unsteady_clock(judged: JudgedFit) -> Data | None:
+    """Return how the clock of the sun's sightings differs from day to day; None where they do not prove that it does.
 
     It is proven where one offset for each day explains the residuals far better than none, better than any turn of the
-    camera on each day and than a bias along the radius on each, and the offsets scatter by more than is allowed.
-
-    Parameters
-    ----------
-    calibration : the fit.
-    usable : its sightings.
+    camera on each day and than a bias along the radius on each.
     """
+    calibration, usable = judged.calibration, judged.usable
     counted = (usable.kind == Kind.SUN) & ~usable.alone
     if calibration.left_out is not None:
         counted &= ~np.isin(usable.index, calibration.left_out)
@@ -89,19 +86,16 @@ def unsteady_clock(calibration: Calibration, usable: Sightings) -> Finding | Non
     rival = max(value for name, (value, _) in evidence.items() if name != "clock")
     offsets = scaled["clock"].solved(spread)[:, 0]
     scatter_s = float(np.std(offsets))
-    allowed_s = max(_LEAST_S, calibration.evidence.clock_error_s if calibration.evidence.clock_stated else 0.0)
-    if not proves("daily_clock", log_odds) or log_odds < rival or scatter_s <= allowed_s:
+    if not proves("daily_clock", log_odds) or log_odds < rival:
         return None
-    return Finding(
-        "clock_unsteady",
-        {
-            "scatter_s": scatter_s,
-            "range_s": float(np.ptp(offsets)),
-            "days": offsets.size,
-            "limit_s": allowed_s,
-            "log_odds": log_odds,
-        },
-    )
+    range_s = float(np.ptp(offsets))
+    return {"scatter_s": scatter_s, "range_s": range_s, "days": offsets.size, "log_odds": log_odds}
+
+
+def allowed_clock_s(judged: JudgedFit) -> float:
+    """Return 10 s; the stated bound of the clock, if larger."""
+    evidence = judged.calibration.evidence
+    return max(_LEAST_S, evidence.clock_error_s if evidence.clock_stated else 0.0)
 
 
 def _columns(calibration: Calibration, seen: Sightings) -> dict[str, FloatArray]:

@@ -14,17 +14,18 @@ from typing import TypeVar
 import numpy as np
 
 import sunarc
-from sunarc.calibration.acceptance import accept, pose_spread_deg, unseen_points
+from sunarc.calibration.acceptance import pose_spread_deg, unseen_points
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.pose_change import PoseChange
 from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
 from sunarc.calibration.projection_choice import options_as_served
 from sunarc.calibration.quality.day_quality import days_left_out
-from sunarc.calibration.quality.fit_checks import is_tilt_shown, provisional
+from sunarc.calibration.quality.fit_checks import is_tilt_shown
 from sunarc.calibration.quality.tilt import LEVEL_DEG, proposed_limit_deg
 from sunarc.calibration.quality.widening import with_clock, with_pose_spread
 from sunarc.calibration.selection import Selection, SelectionOptions, select_sightings, surest_of_epochs
+from sunarc.calibration.verdict import accept, provisional
 from sunarc.common.array_types import IntArray
 from sunarc.common.errors import InputError, NotFoundError
 from sunarc.common.findings import Data, Finding
