@@ -26,7 +26,9 @@ PARTS = {
         "architecture", *(f"architecture/{house}" for house in HOUSES), "conventions", "maths", "model",
         "results", "studies", "benchmark/README", "benchmark/results",
     ),
-    "Reference": ("api", "commands", "routes", "rest", "settings", "codes", "formats", "feed", "metrics", "versions"),
+    "Reference": (
+        "api", "commands", "routes", "rest", "settings", "codes", "checks", "formats", "feed", "metrics", "versions",
+    ),
     "Develop": (
         "contributing", "developing", "extending", "decisions/index", "campaign", "booted", "reporting", "changes",
     ),
