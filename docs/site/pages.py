@@ -16,7 +16,7 @@ from sunarc.cli.main import houses, load_command
 
 HOUSES = ("library", "imager", "archives", "hub", "lab", "client", "cli")
 PARTS = {
-    "First steps": ("first-hour", "faq", "troubleshooting", "python", "glossary"),
+    "First steps": ("first-hour", "explanation", "faq", "troubleshooting", "python", "glossary"),
     "Operate": (
         "operating", "operating/install", "operating/run", "operating/sources", "operating/images",
         "operating/archives", "operating/alerts", "operating/rehearse",

@@ -72,3 +72,12 @@ def test_it_runs_where_the_extra_of_plots_alone_is_installed(python: Path, name:
     script = ROOT / "docs" / "examples" / "notebooks.py"
     done = subprocess.run([python, script, name], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.slow
+def test_the_pictures_of_the_explanation_are_drawn_by_its_script(tmp_path: Path) -> None:
+    folder = ROOT / "docs" / "explanation"
+    subprocess.run([sys.executable, folder / "draw.py", tmp_path], check=True, capture_output=True)
+    drawn = {path.name for path in tmp_path.iterdir()}
+    assert drawn == {path.name for path in folder.glob("*.png")}
+    assert all(f"(explanation/{name})" in (ROOT / "docs" / "explanation.md").read_text("utf-8") for name in drawn)
