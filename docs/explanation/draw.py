@@ -54,6 +54,8 @@ def draw_sighting() -> None:
     path = DATA / "pictures" / "20130513T154400Z.jpg"
     image = cv2.cvtColor(cv2.imread(str(path)), cv2.COLOR_BGR2RGB)
     found = sunarc.find_sun(path)
+    if found.x_px is None or found.y_px is None:
+        raise ValueError(found.reason)
     figure, (whole, near) = plt.subplots(1, 2, figsize=(8, 4), layout="constrained")
     whole.imshow(image)
     whole.add_patch(plt.Circle((found.x_px, found.y_px), 16, fill=False, color=SUN, lw=1.5))
@@ -138,6 +140,8 @@ def draw_bump(calibration: sunarc.Calibration) -> None:
 def draw_day_and_night(sightings: sunarc.Sightings) -> None:
     """Draw where a day's suns and one image's stars lie in the picture."""
     stars = sunarc.find_stars(DATA / "night.png", time=np.datetime64("2013-05-14T05:00:00"), site=SITE)
+    if isinstance(stars, list):
+        raise TypeError(len(stars))
     scale = SIZE[0] / 360.0
     figure, axes = plt.subplots(figsize=(5, 5), layout="constrained")
     as_picture(axes, "where sun and stars were seen")
