@@ -18,7 +18,7 @@ mpl.use("Agg")
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Ellipse
+from matplotlib.patches import Circle, Ellipse
 
 import sunarc
 from sunarc.common.array_types import FloatArray
@@ -46,19 +46,19 @@ def save(figure: Figure, name: str) -> None:
 def as_picture(axes: Axes, title: str) -> None:
     """Give axes the picture's pixels, y down."""
     axes.set(xlim=(0, SIZE[0]), ylim=(SIZE[1], 0), aspect="equal", xticks=[], yticks=[], title=title)
-    axes.add_patch(plt.Circle((872, 883), 860, fill=False, color=GREY, lw=0.8))
+    axes.add_patch(Circle((872, 883), 860, fill=False, color=GREY, lw=0.8))
 
 
 def draw_sighting() -> None:
     """Draw a picture of the day, and the sun that is found in it."""
     path = DATA / "pictures" / "20130513T154400Z.jpg"
-    image = cv2.cvtColor(cv2.imread(str(path)), cv2.COLOR_BGR2RGB)
+    image = np.asarray(cv2.imread(str(path)))[..., ::-1]
     found = sunarc.find_sun(path)
     if found.x_px is None or found.y_px is None:
         raise ValueError(found.reason)
     figure, (whole, near) = plt.subplots(1, 2, figsize=(8, 4), layout="constrained")
     whole.imshow(image)
-    whole.add_patch(plt.Circle((found.x_px, found.y_px), 16, fill=False, color=SUN, lw=1.5))
+    whole.add_patch(Circle((found.x_px, found.y_px), 16, fill=False, color=SUN, lw=1.5))
     whole.set_title("a picture at 15:44 UTC")
     near.imshow(image, interpolation="nearest")
     near.plot(found.x_px, found.y_px, "+", color=SUN, ms=30, mew=1.5)
