@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 from collections.abc import Callable, Iterator
 from functools import cache
 from importlib import import_module
@@ -12,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from typer.exceptions import TyperException
 
 from sunarc.cli.main import houses, load_command
 from sunarc.imager.settings.reference import all_settings
@@ -26,6 +28,7 @@ COMMAND = re.compile(
     r"(?:^|`|\$ |\| |; )\s*(?:sudo )?(?:\.venv/bin/)?sunarc ([a-z][a-z-]*(?: [a-z][a-z-]*)?)((?:[^`\n#|;]|\\\n)*)",
     re.MULTILINE,
 )
+LINE = re.compile(r"(?:^|\$ |\| |; |&& |sudo )\s*(?:\.venv/bin/)?sunarc ([a-z][^\n|;]*)", re.MULTILINE)
 SETTING = re.compile(r"(?<![\w./-])([a-z]+\.[a-z_.]+[a-z])(?![\w(/.-])")
 FILES = {"toml", "service", "path", "sqlite", "timer", "conf", "deb", "json", "jpg", "png"}
 FILES |= {"yaml", "yml", "py", "html", "csv", "md", "npz"}
@@ -140,6 +143,25 @@ def commands(code: str) -> Iterator[str]:
             yield from (f"sunarc {name} {one}" for one in stated if one not in options)
 
 
+def unparsed(code: str) -> Iterator[str]:
+    """Yield the command lines of a block that the command does not take: a missing argument, a value out of bounds."""
+    known = {name for house in houses().values() for name in house}
+    lines = LINE.findall(code.replace("\\\n", " ")) if not code.startswith("`") or code.startswith("```") else []
+    for line in lines:
+        words = shlex.split(re.split(r"\s#\s|\s{4}|\s[<>&]", line)[0])
+        if not words or words[0] not in known or {"…", "--help"} & {*words} or "`" in line:
+            continue
+        name, *further = words
+        command = load_command(name)
+        try:
+            while inner := getattr(command, "commands", None):
+                name = further.pop(0)
+                command = inner[name]
+            command.make_context(name, further)
+        except TyperException as error:
+            yield f"sunarc {line.strip()}: {error.format_message()}"
+
+
 def kinds(root: Path) -> dict[str, Callable[[str], Iterator[str]]]:
     return {
         "paths": paths(root),
@@ -147,10 +169,11 @@ def kinds(root: Path) -> dict[str, Callable[[str], Iterator[str]]]:
         "routes": routes(root),
         "settings": settings,
         "commands": commands,
+        "command lines": unparsed,
     }
 
 
-@pytest.mark.parametrize("kind", ["paths", "modules", "routes", "settings", "commands"])
+@pytest.mark.parametrize("kind", ["paths", "modules", "routes", "settings", "commands", "command lines"])
 def test_what_a_page_names_exists(root: Path, kind: str) -> None:
     missing = kinds(root)[kind]
     found = [f"{page}: {one}" for page, text in pages(root).items() for code in code_of(text) for one in missing(code)]
@@ -171,6 +194,8 @@ def test_what_a_page_names_exists(root: Path, kind: str) -> None:
         ("commands", "`sunarc db none FILE`", "`sunarc db backup FILE --state DIR`"),
         ("commands", "    .venv/bin/sunarc calibrate POINTS --none 1", "    .venv/bin/sunarc calibrate POINTS --json"),
         ("commands", "`sunarc study benchmark none`", "`sunarc study benchmark make`"),
+        ("command lines", "    sunarc db backup", "    sudo sunarc db backup FILE --state DIR    # a copy"),
+        ("command lines", "    $ sunarc stars a.png --blind --image-size x", "    sunarc codes > docs/codes.md"),
     ],
 )
 def test_a_name_of_nothing_is_found(root: Path, kind: str, wrong: str, right: str) -> None:
