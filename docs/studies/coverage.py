@@ -31,8 +31,7 @@ from ranks import amplitude_px as drawn_amplitude_px
 from real_lenses import best_projection, published, residual_radius
 
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.fit.effects import OUTWARDS_PX
-from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.options import USUAL_OPTIONS, CalibrationOptions
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.optics.camera import RADIAL_ORDERS, Camera, camera_sees
 from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles
@@ -225,7 +224,7 @@ def drawn(seed: int, case: Case) -> tuple[Camera, Sightings, TrueSky]:
     if case.as_prior:
         off = points.pixels - np.array(truth.principal_point_px)
         along = off / np.linalg.norm(off, axis=-1, keepdims=True)
-        points = replace(points, pixels=points.pixels + rng.normal(0.0, OUTWARDS_PX) * along)
+        points = replace(points, pixels=points.pixels + rng.normal(0.0, USUAL_OPTIONS.outwards_px) * along)
     if case.rounded:
         points = replace(points, pixels=np.rint(points.pixels))
     expected = pop.seen_at(truth, SKY, field)

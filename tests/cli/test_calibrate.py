@@ -309,3 +309,33 @@ def test_a_latitude_that_is_none_is_named(sunarc: Sunarc, points: Path, angle: s
     assert answer.code == 2
     assert answer.err.startswith("sunarc: --latitude: ")
     assert "[angle_" in answer.err
+
+
+def test_the_uncertainty_holds_the_clock_and_the_detection_that_are_stated_and_no_more(
+    sunarc: Sunarc, points: Path
+) -> None:
+    """2 s of the clock turn the camera by 0.0083° about the pole, and 0.07 px along the radius are 0.007°."""
+
+    def sky_rms_deg(*stated: str) -> float:
+        return float(
+            json.loads(sunarc("calibrate", str(points), *AT_SGP, *stated, "--json").out)["uncertainty"]["sky_rms_deg"]
+        )
+
+    loose, bounded = sky_rms_deg("--clock-error", "2"), sky_rms_deg("--clock-error", "0.1")
+    both, wide = sky_rms_deg("--clock-error", "0.1", "--outwards-px", "0.01"), sky_rms_deg("--clock-error", "60")
+    # about the pole by 15 arcseconds a second, seen per axis from 36° of latitude
+    turn_deg = 2.0 * 15.0 / 3600.0 * math.sqrt((1.0 + math.cos(math.radians(90.0 - 36.6)) ** 2) / 4.0)
+    assert bounded == pytest.approx(math.sqrt(loose**2 - turn_deg**2), rel=0.15)
+    assert both < 0.9 * bounded
+    assert wide == pytest.approx(30.0 * turn_deg, rel=0.2)
+
+
+def test_what_stars_alone_do_not_show_and_no_bound_are_refused_by_their_option(
+    sunarc: Sunarc, points: Path, tmp_path: Path
+) -> None:
+    head, *rows = points.read_text().splitlines()
+    stars = tmp_path / "stars.csv"
+    stars.write_text("\n".join([head, *(row.replace(",sun", ",star:HIP32349") for row in rows)]))
+    answer = sunarc("calibrate", str(stars), *AT_SGP, "--outwards-px", "0.01")
+    assert (answer.code, "--outwards-px" in answer.err) == (2, True)
+    assert sunarc("calibrate", str(points), *AT_SGP, "--clock-error", "-1").code == 2

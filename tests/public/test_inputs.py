@@ -180,6 +180,8 @@ WRONG: list[tuple[Callable[[sunarc.Calibration], object], str]] = [
     (lambda _: fit(level_within_deg=math.nan), "level_within_deg"),
     (lambda _: fit(level_within_deg=200.0), "level_within_deg"),
     (lambda _: fit(clock_error_s=-1.0), "clock_error_s"),
+    (lambda _: fit(outwards_px=-1.0), "outwards_px"),
+    (lambda _: fit(outwards_px=math.nan), "outwards_px"),
     (lambda _: fit(pose_only=True), "pose_only"),
     (lambda _: fit(lens_within_px=1.0), "lens_within_px"),
     (lambda known: fit(start=known, pose_within_deg=1.0), "lens_within_px"),

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar, get_args
 import typer
 
 from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread
-from sunarc.calibration.model.options import CalibrationOptions, Mirrored
+from sunarc.calibration.model.options import USUAL_OPTIONS, CalibrationOptions, Mirrored
 from sunarc.calibration.stated_prior import PriorTolerances
 from sunarc.cli.options import (
     SITE,
@@ -20,6 +20,7 @@ from sunarc.cli.options import (
     LevelWithin,
     LongitudeIfGiven,
     MirroredOption,
+    OutwardsPx,
     ProjectionOption,
     angles_of,
     parse_image_size,
@@ -191,6 +192,7 @@ def calibrate(
     mirrored: MirroredOption = None,
     level_within: LevelWithin = None,
     clock_error: ClockError = None,
+    outwards_px: OutwardsPx = None,
     start: Annotated[
         Path | None, typer.Option(help="Begin at the camera of this file: a calibration document or another format.")
     ] = None,
@@ -259,7 +261,7 @@ def calibrate(
         require_extra("imager", what="calibrate without POINTS")
     if points is None and config is not None:
         of_points = (latitude, longitude, image_size, image_circle, pressure, start, plots, pose_only or None, output)
-        of_fit = (projection or None, mirrored or None)
+        of_fit = (projection or None, mirrored or None, outwards_px)
         _require_settings_only(*of_points, *of_fit, lens_within, pose_within, focal_within, lens_prior)
 
         settings = stated_level(service_settings(config), level_within)
@@ -276,6 +278,7 @@ def calibrate(
             projection=stated_once("--projection", projection, (*PROJECTIONS, "auto")) or "auto",
             mirrored=stated_once("--mirrored", mirrored, get_args(Mirrored)),
             level_within_deg=level_within,
+            outwards_px=USUAL_OPTIONS.outwards_px if outwards_px is None else outwards_px,
         ),
         now=SystemClock().now(),
         circle=None if image_circle is None else image_circle_of(image_circle),

@@ -66,6 +66,16 @@ ClockError = Annotated[
         max=DAY_S,
     ),
 ]
+OutwardsPx = Annotated[
+    float | None,
+    typer.Option(
+        help="1-sigma of how far the sun is detected from its place along the radius, px, which the stated uncertainty "
+        "holds; 0.07 unless given.",
+        min=0.0,
+        max=10.0,
+        show_default=False,
+    ),
+]
 ProjectionOption = Annotated[
     list[str] | None,
     typer.Option(

@@ -149,7 +149,7 @@ def image_circle_of(text: str) -> ImageCircle:
 
 
 _SITE = tuple(field.name for field in fields(Site))
-_FIT = ("projection", "mirrored", "level_within_deg")
+_FIT = ("projection", "mirrored", "level_within_deg", "outwards_px")
 _COMMON = {*_SITE, *_FIT, "image_size"}
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._ -]{0,63}")
 LENS_FILE = "lens-prior.json"

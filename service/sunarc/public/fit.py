@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import get_args
 
-from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, Method, Mirrored
+from sunarc.calibration.model.options import USUAL_OPTIONS, CalibrationOptions, ImageCircle, Method, Mirrored
 from sunarc.calibration.model.result import Calibration as Solved
 from sunarc.calibration.model.sightings import Sightings as Points
 from sunarc.calibration.stated_prior import PriorTolerances
@@ -31,6 +31,7 @@ def calibrate(
     image_circle: tuple[float, float, float] | None = None,
     level_within_deg: float | None = None,
     clock_error_s: float | None = None,
+    outwards_px: float | None = None,
     start: Calibration | StrPath | None = None,
     pose_only: bool = False,
     lens_within_px: float | None = None,
@@ -55,6 +56,7 @@ def calibrate(
     image_circle : x, y and radius of the lens's image circle, px.
     level_within_deg : largest tilt of the camera; unless given, a first fit tilted by more than 5 degrees is refused.
     clock_error_s : bound of the clock's error, which the uncertainty then holds; unless given 2 s are assumed.
+    outwards_px : 1-sigma of how far the sun is detected from its place along the radius; unless given 0.07 px.
     start : a camera to begin at, or its file in any format that is read.
     pose_only : whether the lens of `start` is kept, and the pose alone fitted.
     lens_within_px, pose_within_deg, focal_within : `start` as a prior: 1-sigma of its image near the horizon, of its
@@ -79,7 +81,7 @@ def calibrate(
     sightings = require_sightings(sightings)
     if pose_only and start is None:
         raise InputError(field="pose_only", problem="no lens to keep", remedy="name a calibration with start")
-    limits = {"level_within_deg": level_within_deg, "clock_error_s": clock_error_s}
+    limits = {"level_within_deg": level_within_deg, "clock_error_s": clock_error_s, "outwards_px": outwards_px}
     stated = {key: None if value is None else number(value, field=key) for key, value in limits.items()}
     begin = None if start is None else (start if isinstance(start, Calibration) else load(start))
     with named_as_in_python():
@@ -88,6 +90,7 @@ def calibrate(
             projection=choice("projection", projection, (*PROJECTIONS, "auto")),
             mirrored=None if mirrored is None else choice("mirrored", mirrored, get_args(Mirrored)),
             level_within_deg=stated["level_within_deg"],
+            outwards_px=USUAL_OPTIONS.outwards_px if stated["outwards_px"] is None else stated["outwards_px"],
         )
         points = sightings.at(require_site(site))
         solved, fitted = fit_as_stated(

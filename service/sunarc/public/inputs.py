@@ -256,6 +256,7 @@ _OPTIONS = {
     "--focal-within": "focal_within",
     "--level-within": "level_within_deg",
     "--clock-error": "clock_error_s",
+    "--outwards-px": "outwards_px",
     "--projection": "projection",
     "--mirrored": "mirrored",
     "calibration.": "",

@@ -10,9 +10,9 @@ import numpy as np
 
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.lens_library.lens_type import LensType
-from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, Mirrored
+from sunarc.calibration.model.options import USUAL_OPTIONS, CalibrationOptions, ImageCircle, Mirrored
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import Sightings, time_step_s
+from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S, Kind, Sightings, time_step_s
 from sunarc.calibration.pose import estimate_pose
 from sunarc.calibration.quality.tilt import require_level
 from sunarc.calibration.quality.widening import with_clock, with_whole_minutes
@@ -73,6 +73,9 @@ def fit_as_stated(
     """
     require_inside(points.pixels, image_size, name=name)
     points, clock_error_s = without_clock_column(points, clock_error_s)
+    if clock_error_s is not None:  # as far as a fit allows for one; `with_clock` adds what is beyond
+        points = replace(points, clock_error_s=np.full(1, min(clock_error_s, MAX_CLOCK_ERROR_S)))
+    _require_suns(points, options)
     known = None if start is None else _accepted_here(start.known, site)
     if start is not None and known is not None:
         require_level(known.pose.theta_zz_deg, options.level_within_deg, field="--level-within", name=start.name)
@@ -164,6 +167,16 @@ def _posed(
     return calibrate_with_prior(
         points, prior=camera, tolerances=PriorTolerances(lens_px=lens_px), site=site, options=options
     )
+
+
+def _require_suns(points: Sightings, options: CalibrationOptions) -> None:
+    """Raise InputError where a bias of the sun's detection is stated, and no sighting is of the sun."""
+    if options.outwards_px != USUAL_OPTIONS.outwards_px and not np.any(points.kind == Kind.SUN):
+        raise InputError(
+            field="--outwards-px",
+            problem=f"{options.outwards_px:g} px of the sun's detection, where no sighting is of the sun",
+            remedy="leave it out",
+        )
 
 
 def without_clock_column(points: Sightings, clock_error_s: float | None) -> tuple[Sightings, float | None]:

@@ -19,13 +19,13 @@ from sunarc.calibration.fit.effects import (
     CLOCK_OFFSET_S,
     DECENTRED_PX,
     OFFSET_PX,
-    OUTWARDS_PX,
     POSE_DIFFERENCE_DEG,
     SEASONS,
     SWAY_DEG,
     seasons_of,
     with_effects,
 )
+from sunarc.calibration.model.options import USUAL_OPTIONS
 from sunarc.calibration.model.result import Calibration, probability, proves
 from sunarc.calibration.model.sightings import Kind, Sightings, kinds_of
 from sunarc.calibration.solve.priors import WIDE_ASPECT
@@ -236,7 +236,7 @@ def test_detections_are_biased_along_the_radius_by_the_same_everywhere() -> None
     seen, found = of_days(math.nan)
     outwards = seen.pixels - np.array(CAMERA.principal_point_px)
     along = outwards / np.linalg.norm(outwards, axis=-1, keepdims=True)
-    np.testing.assert_allclose(found["outwards"][..., 0], OUTWARDS_PX * along, atol=1e-9)
+    np.testing.assert_allclose(found["outwards"][..., 0], USUAL_OPTIONS.outwards_px * along, atol=1e-9)
 
 
 @pytest.mark.parametrize(("step_px", "expected_px"), [(1.0, 0.5), (4.0, 2.0), (0.25, 0.125), (0.01, 0.0), (0.0, 0.0)])

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.calibration.evidence import RECORD
+from sunarc.calibration.model.options import USUAL_OPTIONS
 from sunarc.calibration.model.sightings import Kind, Sightings, grid_steps_px
 from sunarc.calibration.noise import lag_one, neighbours
 from sunarc.calibration.solve.priors import LENS, STRETCH, with_wide_pixels
@@ -37,9 +38,6 @@ DECENTRED_PX = 0.03
 """1-sigma at the edge of the part of the offset that grows as the cosine and as the sine of the azimuth: of lenses that
 are not centred, whose coma is not either. It grows as the square of the radius, as decentering distortion does."""
 N_RADIAL = len(OFFSET_POWERS)
-OUTWARDS_PX = 0.07
-"""1-sigma of how far the sun is detected from its place along the radius, whatever the radius: by the blur of the lens,
-by a threshold on its aureole. A bias that grows with the radius is the lens's own distortion."""
 CLOCK_OFFSET_S, CLOCK_DRIFT_S_PER_H = 2.0, 0.35
 """1-sigma of a clock of which nothing is stated: how far it is off on a day, and its drift. A quartz that nothing
 corrects drifts by 0.1 s an hour, and by several times that in the cold and the heat."""
@@ -71,6 +69,7 @@ _TRENDS = 3
 class _View(NamedTuple):
     """Sightings as a camera near the one sought shows them.
 
+    outwards_px: see `CalibrationOptions`.
     stretch (n, 2, 2): px by the wide prior's aspect and skew. by_direction (n, 2, 3), rise (n, 2): px per unit of the
     direction, and per radian that it rises. focal (n, 2): px by a focal length twice as long. outwards (n, 2), radius
     (n,): unit vectors away from the principal point, and the distance to it over that of the horizon. off (n, 2): px by
@@ -79,6 +78,7 @@ class _View(NamedTuple):
     """
 
     seen: Sightings
+    outwards_px: float
     stretch: FloatArray
     by_direction: FloatArray
     rise: FloatArray
@@ -115,7 +115,7 @@ def _displacements(view: _View) -> Iterator[tuple[str, FloatArray]]:
         # the cold bends what the camera stands on
         yield "night_pose", view.turned(POSE_DIFFERENCE_DEG) * night[:, None, None]
     yield "air", view.rise[:, :, None] * seen.refraction_sd[:, None, :]
-    yield "outwards", OUTWARDS_PX * (outwards * (seen.kind == Kind.SUN)[:, None])[..., None]
+    yield "outwards", view.outwards_px * (outwards * (seen.kind == Kind.SUN)[:, None])[..., None]
     # pixels on a grid may have been cut: all are then half a step too small
     of_sun = seen.kind == Kind.SUN
     yield "grid", np.diag(0.5 * grid_steps_px(seen.pixels[of_sun])) * of_sun[:, None, None]
@@ -199,15 +199,22 @@ SHOWN_BY_STARS = frozenset({"night_offset", "night_pose", "air"})
 """Those that stars on all sides of the sky show: beside them their means make the better camera."""
 
 
-def with_effects(problem: FitProblem, unknowns: FloatArray, observed: Sightings) -> tuple[FitProblem, Sightings]:
+def with_effects(
+    problem: FitProblem,
+    unknowns: FloatArray,
+    observed: Sightings,
+    *,
+    outwards_px: float = USUAL_OPTIONS.outwards_px,
+) -> tuple[FitProblem, Sightings]:
     """Return the problem with the blocks that the sightings may have, and the sightings with their displacements.
 
     Parameters
     ----------
     problem, unknowns : a camera near the one sought, without blocks.
     observed : with times, kinds and nights.
+    outwards_px : see `CalibrationOptions`.
     """
-    view = _view(problem, unknowns, observed)
+    view = _view(problem, unknowns, observed)._replace(outwards_px=outwards_px)
     blocks, columns, start = [], [], 0
     for name, found in _displacements(view):
         acts = np.any(np.abs(found) > _NEGLIGIBLE_PX, axis=(0, 1))
@@ -228,6 +235,7 @@ def _view(problem: FitProblem, unknowns: FloatArray, observed: Sightings) -> _Vi
     (days, day), times = np.unique(observed.day, return_inverse=True), np.nan_to_num(observed.unix_s)
     view = _View(
         observed,
+        0.0,
         np.zeros((n, 2, 2)),
         np.zeros((n, 2, 3)),
         np.zeros((n, 2)),

@@ -456,22 +456,22 @@ def fit_robustly(
     circle : the image circle, where it is known.
     """
     problem = single_problem(observed, cameras[0], options, circle, n_epochs=len(cameras))
-    grid = grid_of(problem.template, options)
     groups = NoiseGroups.of(observed)
-    fit = _fitted(problem, observed, problem.unknowns(cameras), groups, grid)
+    fit = _fitted(problem, observed, problem.unknowns(cameras), groups, options)
     if not proves(PIXELS, fit.log_odds.get(PIXELS, 0.0)):
         return fit
     wide = replace(problem, prior=with_wide_pixels(problem.prior))
     start = wide.unknowns([fit.problem.camera(fit.unknowns, epoch) for epoch in range(problem.n_epochs)])
     start[STRETCH] += fit.unknowns[fit.problem.block_slice(PIXELS)]
-    again = _fitted(wide, observed, start, groups, grid)
+    again = _fitted(wide, observed, start, groups, options)
     return replace(again, log_odds={**again.log_odds, PIXELS: fit.log_odds[PIXELS]})
 
 
 def _fitted(
-    problem: FitProblem, observed: Sightings, start: FloatArray, groups: NoiseGroups, grid: HyperparameterGrid
+    problem: FitProblem, observed: Sightings, start: FloatArray, groups: NoiseGroups, options: CalibrationOptions
 ) -> RobustFit:
     """Return the fit with the lens's prior as it is."""
+    grid = grid_of(problem.template, options)
     # first without a field: the best of several starts
     precision = prior_precision(problem.size, LOOSE_RADIAL_PX, LOOSE_DECENTERING_PX)
     at = best_start(problem, observed, start, precision=precision)
@@ -482,7 +482,7 @@ def _fitted(
     means = groups.bins.observations(observed, problem, at, information=information)
     deepest = best_of_starts(problem, means, at, precision=precision)
     plain = lowest(problem, observed, [at, deepest], precision=precision)
-    problem, observed = with_effects(problem, plain, observed)
+    problem, observed = with_effects(problem, plain, observed, outwards_px=options.outwards_px)
     found = robust_camera(problem, observed, plain, groups=groups, grid=grid)
     problem, unknowns, state = found.problem, found.unknowns, found.state
     system = found.system(observed, groups.bins)

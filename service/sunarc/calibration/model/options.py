@@ -96,6 +96,8 @@ class CalibrationOptions:
         lens, or about a stated prior, may state 2 degrees. 1.5 degrees are three diameters of the sun, and misplace
         a cloud at 2 km by 52 m overhead and by 210 m at a zenith angle of 60 degrees. A clear day states 0.02 to 1.4.
     site_error_m : 1-sigma of the surveyed position, m.
+    outwards_px : 1-sigma of how far the sun is detected from its place along the radius, whatever the radius, px: by
+        the blur of the lens, by a threshold on its aureole. A bias that grows with the radius is the lens's.
     field_floor_px : smallest discrepancy field that is ever assumed, px.
     tolerances, paper : see there.
     """
@@ -111,6 +113,7 @@ class CalibrationOptions:
     max_unexplained: Annotated[float, Gt(0.0), Le(1.0)] = 0.25
     max_sky_deg: Positive = 1.5
     site_error_m: NonNegative = 30.0
+    outwards_px: Annotated[float, Ge(0.0), Le(10.0)] = 0.07
     field_floor_px: NonNegative = 0.002
     tolerances: LensTolerances = field(default_factory=LensTolerances)
     paper: PaperOptions = field(default_factory=PaperOptions)

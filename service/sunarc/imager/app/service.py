@@ -218,7 +218,8 @@ class Service:
     def _stated_clock_error_s(self) -> float | None:
         """Bound of the error of times that frames or files state; None where the host's clock dates them."""
         if self.settings.folder is not None and self.settings.source == "folder":
-            return WHOLE_SECONDS_S
+            stated_s = self.settings.folder.clock_error_s
+            return WHOLE_SECONDS_S if stated_s is None else min(stated_s, WHOLE_SECONDS_S)
         return self.settings.capture.camera_clock_error_s if self.settings.dated_by_camera else None
 
     @property

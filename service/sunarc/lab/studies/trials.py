@@ -124,7 +124,7 @@ class Batch:
 
     def _robust(self, observed: Sightings, problem: FitProblem) -> Camera:
         plain = self._without_field(observed, problem)
-        problem, observed = with_effects(problem, plain, observed)
+        problem, observed = with_effects(problem, plain, observed, outwards_px=self.options.outwards_px)
         found = robust_camera(problem, observed, plain, groups=self.groups, grid=self.grid)
         camera = found.problem.camera(found.unknowns)
         if found.state.field_odds <= 0.0:
