@@ -19,7 +19,7 @@ PARTS = {
     "First steps": ("first-hour", "explanation", "faq", "troubleshooting", "python", "glossary"),
     "Operate": (
         "operating", "operating/install", "operating/run", "operating/sources", "operating/images",
-        "operating/archives", "operating/alerts", "operating/rehearse",
+        "operating/names", "operating/archives", "operating/alerts", "operating/rehearse",
         "fleet", "push", "container", "security", "scale",
     ),
     "Understand": (

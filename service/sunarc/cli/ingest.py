@@ -19,6 +19,7 @@ from sunarc.cli.options import (
     Config,
     DetectionMethod,
     LevelWithin,
+    TimePatternOption,
     choice_of,
     print_json,
     print_table,
@@ -40,7 +41,7 @@ def ingest(
     *,
     config: Config = None,
     method: DetectionMethod = "auto",
-    time_pattern: Annotated[str | None, typer.Option(help="strptime pattern of the names, without suffix.")] = None,
+    time_pattern: TimePatternOption = None,
     utc_offset: Annotated[
         str | None,
         typer.Option(help="Times without a zone, ahead of UTC: 0 unless given; hours, or as Europe/Berlin."),

@@ -14,7 +14,7 @@ from typing import Annotated, Any, NamedTuple
 import typer
 from rich.markup import escape
 
-from sunarc.cli.options import AsJson, print_json, print_table
+from sunarc.cli.options import AsJson, TimePatternOption, print_json, print_table
 from sunarc.common.errors import InputError, disk_errors
 from sunarc.common.findings import Finding, FindingError
 from sunarc.common.foreign_files import name_text
@@ -23,6 +23,7 @@ from sunarc.imager.checks import TriedResult, try_first
 from sunarc.imager.settings.file_text import NEW_FILE, Value, read_text, value_in, with_values
 from sunarc.imager.settings.load import settings_of
 from sunarc.sky.site import parse_angle
+from sunarc.sources.time_patterns import checked_pattern
 
 _SOURCES = ("aravis", "folder", "http", "rtsp")
 _TRIES = 5
@@ -94,6 +95,12 @@ _LEVEL = _SettingQuestion(
     _number("--level-within"),
     "5",
 )
+
+
+def _pattern(given: str) -> str:
+    return checked_pattern(given.strip(), field="--time-pattern")
+
+
 _OFFSET = _SettingQuestion(
     "folder.utc_offset",
     "--utc-offset",
@@ -101,7 +108,7 @@ _OFFSET = _SettingQuestion(
     str.strip,
 )
 _PATTERN = _SettingQuestion(
-    "folder.time_pattern", "--time-pattern", "strptime pattern of the names without suffix", str.strip
+    "folder.time_pattern", "--time-pattern", "Pattern of the names without suffix, as %Y%m%d_%H%M%S", _pattern
 )
 _ASKED_BY_FAULT = {"file_time_zone": _OFFSET, "file_time_unknown": _PATTERN, "file_time_ambiguous": _PATTERN}
 """What a picture's time needs to be read."""
@@ -128,7 +135,7 @@ def init(
     level_within: Annotated[
         str | None, typer.Option(help="Largest tilt of the camera, degrees; 5 for one that is level.")
     ] = None,
-    time_pattern: Annotated[str | None, typer.Option(help="strptime pattern of the names, without suffix.")] = None,
+    time_pattern: TimePatternOption = None,
     writing: Annotated[
         str | None, typer.Option(help="How writing in the picture looks: readable, mirrored or unknown.")
     ] = None,

@@ -17,6 +17,7 @@ from sunarc.common.json_text import json_text
 from sunarc.common.utc import DAY_S
 from sunarc.imager.runtime.clock import SystemClock
 from sunarc.sky.site import parse_angle
+from sunarc.sources.time_patterns import checked_pattern
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -35,6 +36,16 @@ OptionalState = Annotated[
     Path | None, typer.Option("--state", callback=act_as_owner, help="The service's state folder.", show_default=False)
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+TIME_PATTERN_HELP = "Pattern of the names without suffix, as %Y%m%d_%H%M%S, img_%s or %Y/%m/%d/%H%M%S."
+
+
+def _checked_pattern(given: str | None) -> str | None:
+    return None if given is None else checked_pattern(given, field="--time-pattern")
+
+
+TimePatternOption = Annotated[
+    str | None, typer.Option("--time-pattern", callback=_checked_pattern, help=TIME_PATTERN_HELP)
+]
 _LATITUDE = typer.Option(
     "--latitude", metavar="ANGLE", help="Degrees, north positive, or as 47°25'12\"N.", rich_help_panel=SITE
 )

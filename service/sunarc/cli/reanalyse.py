@@ -17,6 +17,7 @@ from sunarc.archives.run import ReanalysisOptions, reanalyse
 from sunarc.calibration.model.options import CalibrationOptions, Mirrored
 from sunarc.cli.options import (
     SITE,
+    TIME_PATTERN_HELP,
     AsJson,
     ClockError,
     DetectionMethod,
@@ -43,6 +44,7 @@ from sunarc.sky.site import Site
 from sunarc.sources.detect_files import METHODS
 from sunarc.sources.image_times import TimeRules, utc_offset_of
 from sunarc.sources.index import CameraPlan, Indexed, Selector, index_archive, new_camera_name, read_cameras
+from sunarc.sources.time_patterns import checked_pattern
 
 _LISTED = 10
 """Files that are named with the reason why they are left out; failures.csv has all."""
@@ -71,7 +73,7 @@ def reanalyse_archive(
     ] = None,
     time_pattern: Annotated[
         list[str] | None,
-        typer.Option(help="strptime pattern of the names, without suffix; CAMERA=PATTERN for one camera. Repeat it."),
+        typer.Option(help=f"{TIME_PATTERN_HELP} CAMERA=PATTERN for one camera. Repeat it."),
     ] = None,
     utc_offset: Annotated[
         str | None,
@@ -169,7 +171,8 @@ def _plans(common: CameraPlan) -> list[CameraPlan]:
 def _pattern_of(given: str) -> tuple[str, str]:
     """Return the camera that a pattern is for, "" for all, and the pattern."""
     name, equals, pattern = given.partition("=")
-    return (name, pattern) if equals and "%" not in name else ("", given)
+    camera, pattern = (name, pattern) if equals and "%" not in name else ("", given)
+    return camera, checked_pattern(pattern, field="--time-pattern")
 
 
 def _common_pattern(given: list[str] | None) -> str | None:

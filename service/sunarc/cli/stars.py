@@ -15,6 +15,7 @@ from sunarc.cli.options import (
     AsJson,
     LatitudeIfGiven,
     LongitudeIfGiven,
+    TimePatternOption,
     angles_of,
     choice_of,
     print_json,
@@ -67,7 +68,7 @@ def stars(
     beside: Annotated[
         Path | None, typer.Option(help="Sightings of the sun (CSV), written before the stars': all in one file.")
     ] = None,
-    time_pattern: Annotated[str | None, typer.Option(help="strptime pattern of the names, without suffix.")] = None,
+    time_pattern: TimePatternOption = None,
     utc_offset: Annotated[
         str | None,
         typer.Option(help="Times without a zone, ahead of UTC: 0 unless given; hours, or as Europe/Berlin."),

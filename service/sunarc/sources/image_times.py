@@ -23,6 +23,7 @@ from sunarc.sources.file_kinds import kind_of, stem_of
 from sunarc.sources.image_files import document_in, frames_in
 from sunarc.sources.name_times import NamedTime, is_of_images, no_time_finding, time_in_name, zone_of
 from sunarc.sources.source_files import FileImage, ImageSource, content_of
+from sunarc.sources.time_patterns import time_pattern
 
 _EXPOSURE = re.compile(r"_(\d+(?:\.\d+)?)us(?![a-zA-Z])")
 
@@ -129,9 +130,9 @@ HEADER_FAMILIES = {"netpbm": "PGM header", "fits": "FITS header", "netcdf": "Net
 class TimeRules(NamedTuple):
     """How times are read.
 
-    pattern: `strptime` pattern of the names without suffix. offset: how far times without a zone are ahead of UTC; None
-    refuses them. documents: whether a picture's head is read for the document of our own composites. is_offset_assumed:
-    nobody stated the offset, so that a name may have another zone.
+    pattern: of the names without suffix, see `time_pattern`. offset: how far times without a zone are ahead of UTC;
+    None refuses them. documents: whether a picture's head is read for the document of our own composites.
+    is_offset_assumed: nobody stated the offset, so that a name may have another zone.
     """
 
     pattern: str | None = None
@@ -179,7 +180,7 @@ def timed_frames(source: ImageSource, name: str, rules: TimeRules, *, names: Col
     ------
     FindingError : nothing states the time, or nothing states its zone.
     """
-    kind, path = kind_of(name), PurePosixPath(name)
+    kind = kind_of(name)
     if kind == "picture":
         return [timed_picture(source, name, rules, names=names)]
     sidecar_name = sidecar_of(name)
@@ -187,7 +188,7 @@ def timed_frames(source: ImageSource, name: str, rules: TimeRules, *, names: Col
     if len(frames) == 1 and kind in {"netpbm", "fits"} and (rules.pattern is not None or frames[0].time is None):
         frame = timed_picture(source, name, rules, names=names)
         return [frame._replace(exposure_us=frames[0].exposure_us or frame.exposure_us)]
-    named = time_in_name(path.name)
+    named = time_in_name(name)
     family = HEADER_FAMILIES[str(kind)]
     return [_in_range(_of_header(frame, name, named, rules, family=family), name) for frame in frames]
 
@@ -207,7 +208,7 @@ def timed_picture(source: ImageSource, name: str, rules: TimeRules, *, names: Co
 def _timed_picture(source: ImageSource, name: str, rules: TimeRules, *, names: Collection[str]) -> TimedFrame:
     path = PurePosixPath(name)
     sidecar_name = sidecar_of(name)
-    named = time_in_name(path.name)
+    named = time_in_name(name)
     prefix = "" if named is None else named.prefix
     if rules.pattern is not None:
         return _by_pattern(path, rules, prefix)
@@ -231,26 +232,24 @@ def _of_document(source: ImageSource, name: str) -> datetime | None:
 
 def _by_pattern(path: PurePosixPath, rules: TimeRules, prefix: str) -> TimedFrame:
     pattern = str(rules.pattern)
-    try:
-        time = datetime.strptime("/".join(PurePosixPath(stem_of(str(path))).parts[-1 - pattern.count("/") :]), pattern)  # noqa: DTZ007 - the zone follows
-    except (ValueError, OverflowError):
-        raise FindingError(path.name, Finding("file_time_pattern", {"pattern": pattern})) from None
-    if time.tzinfo is not None:
-        _require_agreement(time.replace(tzinfo=None), time.utcoffset(), path.name, rules)
-    return TimedFrame(0, _in_utc(time, path.name, rules), exposure_of_name(path.name), "pattern", prefix)
+    written = time_pattern(pattern).read(stem_of(str(path)))
+    if written is None:
+        raise FindingError(path.name, Finding("file_time_pattern", {"pattern": pattern}))
+    utc = _utc(*written, path.name, rules)
+    return TimedFrame(0, utc, exposure_of_name(path.name), "pattern", prefix)
 
 
 def _of_picture(source: ImageSource, name: str, named: NamedTime | None, rules: TimeRules) -> TimedFrame:
     exposure_us = exposure_of_name(name)
     prefix = "" if named is None else named.prefix
     if named is not None and (named.ahead is not None or rules.offset is not None):
-        return TimedFrame(0, _utc(named, name, rules), exposure_us, named.family, prefix)
+        return TimedFrame(0, _utc(named.time, named.ahead, name, rules), exposure_us, named.family, prefix)
     found = _from_header(content_of(source, name))
     if found is not None and (found[0].tzinfo is not None or named is None):
         return TimedFrame(0, _in_utc(found[0], name, rules), exposure_us, found[1], prefix)
     if named is None:
         raise FindingError(name, no_time_finding(PurePosixPath(name).name))
-    return TimedFrame(0, _utc(named, name, rules), exposure_us, named.family, prefix)
+    return TimedFrame(0, _utc(named.time, named.ahead, name, rules), exposure_us, named.family, prefix)
 
 
 def _of_header(frame: FileImage, name: str, named: NamedTime | None, rules: TimeRules, *, family: str) -> TimedFrame:
@@ -260,7 +259,7 @@ def _of_header(frame: FileImage, name: str, named: NamedTime | None, rules: Time
         return TimedFrame(frame.number, frame.time, frame.exposure_us, family, prefix)
     if named is None:
         raise FindingError(name, no_time_finding(PurePosixPath(name).name))
-    return TimedFrame(frame.number, _utc(named, name, rules), frame.exposure_us, named.family, prefix)
+    return TimedFrame(frame.number, _utc(named.time, named.ahead, name, rules), frame.exposure_us, named.family, prefix)
 
 
 def _from_header(content: bytes) -> tuple[datetime, str] | None:
@@ -288,12 +287,15 @@ def _mobotix_time(fields: dict[bytes, str]) -> datetime | None:
     return local if ahead is None else local.replace(tzinfo=timezone(ahead))
 
 
-def _utc(named: NamedTime, name: str, rules: TimeRules) -> datetime:
+def _utc(written: datetime, ahead: timedelta | None, name: str, rules: TimeRules) -> datetime:
     """Return the time that a name states, in UTC; FindingError where nothing states its zone, or two things do."""
-    if named.ahead is None:
-        return _in_utc(named.time, name, rules)
-    _require_agreement(named.time, named.ahead, name, rules)
-    return named.time.replace(tzinfo=UTC) - named.ahead
+    if ahead is None:
+        return _in_utc(written, name, rules)
+    _require_agreement(written, ahead, name, rules)
+    try:
+        return written.replace(tzinfo=UTC) - ahead
+    except OverflowError:
+        raise FindingError(name, Finding("file_time_unknown")) from None
 
 
 def _require_agreement(written: datetime, ahead: timedelta | None, name: str, rules: TimeRules) -> None:

@@ -33,6 +33,7 @@ from sunarc.sources.image_key import ImageKey, image_key
 from sunarc.sources.image_times import TimedFrame, TimeRules, timed_frames, utc_offset_of
 from sunarc.sources.source_files import ImageSource, SourceFile
 from sunarc.sources.sources import hash_of, open_source
+from sunarc.sources.time_patterns import checked_pattern
 
 ReportProgress = Callable[[str, int, int], None]
 
@@ -512,7 +513,7 @@ def _plan(name: str, table: object, common: CameraPlan, path: Path) -> CameraPla
 def _filled(name: str, table: Mapping[str, Any], common: CameraPlan, folder: Path) -> CameraPlan:
     sources = _get(table, "sources", lambda given: _sources(given, folder), common.selector.sources)
     rules = TimeRules(
-        pattern=_get(table, "time_pattern", str, common.rules.pattern),
+        pattern=_get(table, "time_pattern", _pattern, common.rules.pattern),
         offset=_get(table, "utc_offset", lambda given: utc_offset_of(given, field="utc_offset"), common.rules.offset),
     )
     site = replace(common.site, **{key: float(table[key]) for key in _NUMBERS if key in table})
@@ -532,6 +533,10 @@ def _filled(name: str, table: Mapping[str, Any], common: CameraPlan, folder: Pat
             level_within_deg=_get(table, "level_within", float, common.options.level_within_deg),
         ),
     )
+
+
+def _pattern(given: object) -> str:
+    return checked_pattern(str(given), field="time_pattern")
 
 
 def _stated(table: Mapping[str, Any], key: str, choices: Sequence[str], common: Any, *, unstated: str | None) -> Any:  # noqa: ANN401

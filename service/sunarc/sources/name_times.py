@@ -1,10 +1,9 @@
 """Times in the names of image files, read whole: fraction, half of the day and zone; what has two readings has no time.
 
-Sources: ARM, https://www.arm.gov (datastreams, as `sgptsiskyimageC1.a1.20130513.123000.jpg`; ordered files repeat the
-time at the end); RMS, https://github.com/CroatianMeteorNetwork/RMS (`FF_CODE_date_time_ms_frame.fits`); indi-allsky,
-https://github.com/aaronwmorris/indi-allsky (`ccd1_date_time.jpg`); Allsky, https://github.com/AllskyTeam/allsky
-(`image-datetime.jpg`); Eye2Sky, https://eye2sky.de/data/data_description (`date_time_EXPOSURE.jpg`); EKO ASI-16
-(`datetime_11.jpg`, the last number for the exposure); SKIPP'D and TSI (`datetime.jpg`).
+Sources: ARM, https://www.arm.gov (datastreams; ordered files repeat the time at the end); RMS,
+https://github.com/CroatianMeteorNetwork/RMS; indi-allsky, https://github.com/aaronwmorris/indi-allsky; Allsky,
+https://github.com/AllskyTeam/allsky; Eye2Sky, https://eye2sky.de/data/data_description (`date_time_EXPOSURE`); EKO
+ASI-16 (the last number for the exposure); Axis, Dahua: default names of uploads. `name_examples` has them all.
 """
 
 from __future__ import annotations
@@ -12,6 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
+from pathlib import PurePosixPath
 from typing import NamedTuple
 
 from sunarc.common.findings import Finding
@@ -90,7 +90,10 @@ _SUFFIX = r"\.[A-Za-z]\w*$"
 
 
 class NameFamily(NamedTuple):
-    """Names of one kind of camera or archive: what precedes the time tells cameras apart."""
+    """Names of one kind of camera or archive: what precedes the time tells cameras apart.
+
+    A pattern with "/" is of the path below the source.
+    """
 
     name: str
     pattern: re.Pattern[str]
@@ -108,6 +111,13 @@ FAMILIES = (
     _family("RMS", r"^(FF_?\w+?_)(\d{4})(\d{2})(\d{2})_(\d{2})(\d{2})(\d{2})(_\d{3})_\d+\.", timedelta(0)),
     _family("Allsky", rf"^(image-){_COMPACT}{_SUFFIX}"),
     _family("indi-allsky", rf"^(ccd\d+_){_PARTED}{_SUFFIX}"),
+    # years of two digits: the date's order is that of the camera
+    _family("Axis", rf"^(image|snapshot)(\d\d)-(\d\d)-(\d\d)_(\d\d)-(\d\d)-(\d\d)(-\d\d)(?:_\d+)?{_SUFFIX}"),
+    _family(
+        "Dahua",
+        r"^((?:.*/)?)(\d{4})-(\d\d)-(\d\d)/(?:\d{3}/jpg|pic_\d{3})/(\d\d)[/.](\d\d)[/.](\d\d)()"
+        r"\[[A-Z]+\]\[\d+@\d+\]\[\d+\]\.jpe?g$",
+    ),
     _family("EKO", rf"^(){_COMPACT}_1[12]{_SUFFIX}"),
     _family("Eye2Sky", rf"^(){_PARTED}_\d+{_SUFFIX}"),
     _family("SKIPP'D or TSI", rf"^(){_COMPACT}{_SUFFIX}"),
@@ -115,14 +125,14 @@ FAMILIES = (
 """Known families, the most specific first."""
 
 
-def _of_family(name: str) -> NamedTime | None:
+def _of_family(path: str) -> NamedTime | None:
     for family in FAMILIES:
-        match = family.pattern.search(name)
+        match = family.pattern.search(path if "/" in family.pattern.pattern else PurePosixPath(path).name)
         if match is not None:
-            prefix, *numbers, fraction = match.groups()
-            time = _time(numbers)
+            prefix, year, *numbers, fraction = match.groups()
+            time = _time([year if len(year) == 4 else f"20{year}", *numbers])
             if time is not None:
-                time += timedelta(seconds=float((fraction or "0").replace("_", "0.")))
+                time += timedelta(seconds=float(f"0.{fraction[1:] or 0}"))
                 return NamedTime(family.name, prefix, time, family.ahead)
     return None
 
@@ -154,14 +164,21 @@ _UNREAD_ZONE = re.compile(r"[-_ ]?(?:UTC|GMT)?\+\d|[-_ ]?(?:UTC|GMT)-\d", re.ASC
 _YEAR_LAST = re.compile(
     r"(?<!\d)(\d{2})[-_.]?(\d{2})[-_.]?((?:19|20)\d{2})[-_T. ]+(\d{2})[-_:h.]?(\d{2})[-_:m.]?(\d{2})(?!\d)", re.ASCII
 )
-_TEN_DIGITS = re.compile(r"(?<!\d)(\d{2})(\d{2})(\d{2})(\d{2})(\d{2})(?!\d)", re.ASCII)
+_SINCE_1970 = re.compile(r"(?<!\d)(?:(\d{2})(\d{2})(\d{2})(\d{2})(\d{2})|(\d{10})(\d{3}))(?!\d)", re.ASCII)
+_SHORT_YEAR = re.compile(
+    r"(?<!\d)(\d{2})(?P<dash>[-_.]?)(\d{2})(?P=dash)(\d{2})[-_T ]?(\d{2})[-_:h.]?(\d{2})[-_:m.]?(\d{2})(?!\d)", re.ASCII
+)
 
 
-def time_in_name(name: str) -> NamedTime | None:
-    """Return the time in a file's name; None where it states none, or has more than one reading."""
-    named = _of_family(name)
+def time_in_name(path: str) -> NamedTime | None:
+    """Return the time in a file's name, or in its path below its source where a camera's folders have the date.
+
+    None where it states none, or has more than one reading.
+    """
+    named = _of_family(path)
     if named is not None:
         return named
+    name = PurePosixPath(path).name
     if _year_last(name) is not None:
         return None
     readings = _readings(name)
@@ -176,11 +193,27 @@ def ambiguous_times(name: str) -> tuple[str, str] | None:
     found = list(dict.fromkeys(_shown(one.time, one.ahead) for one in _readings(name)))
     if len(found) > 1:
         return found[0], found[1]
-    numbers = None if found else _TEN_DIGITS.search(name)
-    if numbers is None:
+    return None if found else _short_year(name) or _since_1970(name)
+
+
+def _short_year(name: str) -> tuple[str, str] | None:
+    """Return a date whose year has two digits, the year first and the year last; None without one."""
+    for match in _SHORT_YEAR.finditer(name):
+        first, month, last, *clock = match.group(1, 3, 4, 5, 6, 7)
+        times = [_time([f"20{year}", month, day, *clock]) for year, day in ((first, last), (last, first))]
+        if any(times):
+            return _shown(times[0]), _shown(times[1])
+    return None
+
+
+def _since_1970(name: str) -> tuple[str, str] | None:
+    """Return digits read as seconds or milliseconds since 1970, and as a date of ten digits; None without them."""
+    digits = _SINCE_1970.search(name)
+    if digits is None:
         return None
-    short = _time(["20" + numbers[1], *numbers.groups()[1:], "0"])
-    return _shown(datetime.fromtimestamp(int(numbers[0]), UTC).replace(tzinfo=None), timedelta(0)), _shown(short)
+    at = datetime.fromtimestamp(int(digits[0][:10]), UTC).replace(tzinfo=None)
+    short = None if digits[6] else _time([f"20{digits[1]}", *digits.group(2, 3, 4, 5), "0"])
+    return _shown(at), _shown(short)
 
 
 def _year_last(name: str) -> tuple[datetime | None, datetime | None] | None:

@@ -41,7 +41,7 @@ def test_what_a_camera_has_goes_first(tmp_path: Path) -> None:
         sources = ["a.zip", "s3://bucket/b"]
         files = "ccd1_*"
         utc_offset = -5.5
-        time_pattern = "%H"
+        time_pattern = "%Y%m%d%H"
         latitude = -10
         image_size = [640, 480]
         mirrored = "yes"
@@ -52,7 +52,7 @@ def test_what_a_camera_has_goes_first(tmp_path: Path) -> None:
     """
     roof, mast = read(text, tmp_path)
     assert roof.selector == Selector((str(tmp_path / "a.zip"), "s3://bucket/b"), "ccd1_*")
-    assert roof.rules == TimeRules("%H", timedelta(hours=-5.5))
+    assert roof.rules == TimeRules("%Y%m%d%H", timedelta(hours=-5.5))
     assert (roof.site.latitude, roof.site.longitude) == (-10.0, SGP.longitude)
     assert (roof.image_size, roof.options.mirrored, roof.method) == ((640, 480), "yes", "paper")
     assert roof.options.level_within_deg == 20.0

@@ -16,14 +16,17 @@ from tests.offline.test_ingest_times import TAKEN, ZONE, taken, with_exif
 
 from sunarc.common.errors import InputError
 from sunarc.common.findings import FindingError
+from sunarc.sources.file_kinds import stem_of
 from sunarc.sources.image_times import (
     TimedFrame,
     TimeRules,
     timed_frames,
     utc_offset_of,
 )
+from sunarc.sources.name_examples import EXAMPLES, NameExample, names_as_markdown
 from sunarc.sources.name_times import ambiguous_times, time_in_name, zone_of
 from sunarc.sources.sources import open_source
+from sunarc.sources.time_patterns import checked_pattern, time_pattern
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 NAMES = {
@@ -233,7 +236,10 @@ WRITTEN = {
 NOT_ONE_TIME = {
     "img_1711022310.jpg": "file_time_ambiguous",
     "img_1711022310_1234.jpg": "file_time_ambiguous",
-    "img_1711022310123.jpg": "file_time_unknown",
+    "img_1711022310123.jpg": "file_time_ambiguous",
+    "cam7_240611_064800.jpg": "file_time_ambiguous",
+    "240611064800.jpg": "file_time_ambiguous",
+    "24-06-11 06.48.00.jpg": "file_time_ambiguous",
     "17110223101234.jpg": "file_time_unknown",
     "cam120240611064800.jpg": "file_time_unknown",
     "2024-06-11_13-22-00_PM.jpg": "file_time_unknown",
@@ -267,9 +273,84 @@ def test_a_zone_in_a_name_that_contradicts_the_option_is_refused(tmp_path: Path)
         assert frame_of(name, tmp_path, **rules).time == taken_at
 
 
-def test_a_pattern_with_folders_reads_them(tmp_path: Path) -> None:
+@pytest.mark.parametrize("one", EXAMPLES, ids=lambda one: one.name)
+def test_each_name_of_the_table_has_its_time_by_itself_or_by_its_pattern(one: NameExample) -> None:
+    stem = "below/" + one.name
+    if one.why:
+        assert time_in_name(stem) is None
+    if one.time and one.pattern is None:
+        named = time_in_name(stem)
+        assert named is not None
+        assert (named.time, named.ahead) == _stated(one.time)
+    if one.pattern is not None:
+        assert time_pattern(one.pattern).read(stem_of(stem)) == _stated(one.time)
+
+
+def _stated(text: str) -> tuple[datetime, timedelta | None]:
+    time = datetime.fromisoformat(text)
+    return time.replace(tzinfo=None), time.utcoffset()
+
+
+def test_the_page_of_names_is_the_table() -> None:
+    again = "python -c 'from sunarc.sources.name_examples import *; print(names_as_markdown(), end=\"\")'"
+    assert PAGE.read_text("utf-8") == names_as_markdown(), f"run: {again} > {PAGE}"
+
+
+@pytest.mark.parametrize("folder", ["", "all/"])
+def test_a_pattern_with_folders_reads_them(folder: str, tmp_path: Path) -> None:
     rules: dict[str, Any] = {"pattern": "%Y/%m/%d/%H%M%S", "offset": timedelta(0)}
-    assert frame_of("all/2013/05/13/183000.png", tmp_path, **rules).time == NOON
+    assert frame_of(folder + "2013/05/13/183000.png", tmp_path, **rules).time == NOON
+
+
+@pytest.mark.parametrize(
+    ("pattern", "stem"),
+    [
+        ("%Y%m%d_%H%M%S", "cam_20240611_064800"),
+        ("%Y%m%d_%H%M%S", "20240611_064800_1"),
+        ("%Y%m%d_%H%M%S", "2024611_064800"),
+        ("*%Y%m%d_%H%M%S", "0120240611_064800"),
+        ("%Y%m%d_%H%M*", "20240611_064800"),
+        ("img_%s", "img_171808848"),
+        ("img_%s", "img_17180884801"),
+        ("*%s*", "171808848012345"),
+        ("%Y/%m/%d/%Y%m%d%H%M", "2024/06/11/202406120648"),
+        ("%a_%Y%m%d%H", "Wed_2024061106"),
+        ("%Y%j_%m%d_%H", "2024163_0612_06"),
+        ("%Y%m%d%H%M%S%z", "20240611064800+0517"),
+        ("%Y%m%d%H%M%S%Z", "20240611064800IST"),
+        ("%Y%j%H", "202336606"),
+        ("%I%p_%Y%m%d", "13PM_20240611"),
+    ],
+)
+def test_a_path_that_a_pattern_does_not_read_whole_has_no_time(pattern: str, stem: str) -> None:
+    assert time_pattern(pattern).read(stem) is None
+
+
+@pytest.mark.parametrize(
+    "pattern", ["%Y%m%d", "%m%d%H%M%S", "%H%M", "%Y%m%d%I%M", "%Y%m%d%H%q", "cam", "", "%", "%Y%j%H%", "%s_%H", "%c"]
+)
+def test_a_pattern_of_a_part_of_a_time_is_refused_where_it_is_given(pattern: str) -> None:
+    with pytest.raises(InputError) as refused:
+        checked_pattern(pattern, field="--time-pattern")
+    assert refused.value.field == "--time-pattern"
+
+
+def test_what_strftime_writes_is_read_to_the_second_or_not_at_all() -> None:
+    """Patterns drawn of all directives, with and without something between them; the writer is Python's."""
+    draw = random.Random(58)
+    days = (["%Y", "%m", "%d"], ["%y", "%j"], ["%d", "%b", "%Y"], ["%a", "%B", "%d", "%y"], ["%Y", "%m", "%d", "%Y%j"])
+    clocks = (["%H", "%M", "%S"], ["%I", "%M", "%S", "%p"], ["%S", "%M", "%H"])
+    for _ in range(500):
+        time = datetime.fromtimestamp(draw.randrange(2**31), UTC).replace(tzinfo=None)
+        parts = [*draw.choice(days), *draw.choice(clocks)]
+        between = draw.choice(["", "-", "_", ".", "x", "."])
+        pattern = between.join(parts)
+        stem = time.strftime(pattern)
+        assert time_pattern(pattern).read(stem) == (time, None), (pattern, stem)
+        assert time_pattern(pattern).read(stem + "1") is None
+        assert time_pattern("*" + pattern).read("cam_" + stem) == (time, None)
+    for seconds in (0, 999_999_999):  # nine digits
+        assert time_pattern("%s").read(str(seconds)) is None
 
 
 @pytest.mark.parametrize(
@@ -337,6 +418,7 @@ def test_no_name_raises_or_is_read_in_part() -> None:
     assert read > 50
 
 
+PAGE = Path(__file__).parents[3] / "docs/operating/names.md"
 CASES = Path(__file__).parents[3] / "../shared/cases/scout"
 
 

@@ -15,6 +15,7 @@ from sunarc.common.bounds import require_bounds
 from sunarc.common.errors import InputError
 from sunarc.common.utc import EPOCH
 from sunarc.imager.cameras.frame import full_scale_of
+from sunarc.sources.time_patterns import checked_pattern
 
 Pixels = Annotated[int, Ge(0), Le(100_000)]
 
@@ -106,7 +107,8 @@ class FolderOptions:
     files : which files are this camera's, as "ccd1_*.jpg"; by their names, without folders.
     utc_offset : how far times without a zone are ahead of UTC: hours as "-6", or a zone as "Europe/Berlin" where names
         follow summer time; unset: such images are left out.
-    time_pattern : strptime pattern of the names without suffix, where no known one fits, as "%d-%m-%Y_%H-%M-%S".
+    time_pattern : pattern of the names without suffix, where no known one fits, as "%d-%m-%Y_%H-%M-%S"; with the last
+        folders as "%Y/%m/%d/%H%M%S".
     method : how the sun is found: "paper" in ordinary images, "disc" in raw microsecond exposures, "auto" by the image.
     clock_error_s : bound of the error of the images' times, which the uncertainty of calibrations then holds; unset:
         not stated, the names' whole seconds are assumed to be right.
@@ -130,6 +132,8 @@ class FolderOptions:
     def __post_init__(self) -> None:
         """Refuse what cannot be followed."""
         require_bounds(self, section_path="folder")
+        if self.time_pattern is not None:
+            checked_pattern(self.time_pattern, field="folder.time_pattern")
         if not self.files.strip() or "/" in self.files:
             problem, remedy = f"{self.files!r} is no pattern of names", 'give one as "ccd1_*.jpg"'
             raise InputError(field="folder.files", problem=problem, remedy=remedy)

@@ -87,7 +87,7 @@ def try_pictures(
     on_image : called with the first picture that can be read, and its image.
     """
     every_picture = [name for name in names if kind_of(name) is not None and not is_derived(name)]
-    pictures = [name for name in every_picture if time_in_name(PurePosixPath(name).name) is not None] or every_picture
+    pictures = [name for name in every_picture if time_in_name(name) is not None] or every_picture
     chosen = [len(pictures) - 1, *(int(len(pictures) * ((k * _GOLDEN) % 1.0)) for k in range(1, most))]
     every, shown = frozenset(names), False
     for number in dict.fromkeys(chosen) if pictures else ():

@@ -254,7 +254,7 @@ class FolderWorker:
         self._late_days = {
             day: at for day, at in self._late_days.items() if (now_s - at) * self.frame_time.speed < _LATE_S
         }
-        named = (time_in_name(PurePosixPath(name).name) for name in self._late)
+        named = (time_in_name(name) for name in self._late)
         return {*self._late_days, *(self._day(one.time.timestamp()) for one in named if one is not None)}
 
     # Which files are new.
@@ -268,7 +268,7 @@ class FolderWorker:
         newest = seen.newest(self.camera.name, limit=_NEWEST)
         if newest and newest[0].time is not None:
             self._newest = (newest[0].file, newest[0].time)
-        named = (time_in_name(PurePosixPath(one.file).name) for one in newest if one.code is None)
+        named = (time_in_name(one.file) for one in newest if one.code is None)
         self._usual = next((one.prefix for one in named if one is not None), None)
 
     def _is_new(self, file: source_files.SourceFile) -> bool:
