@@ -31,7 +31,7 @@ from sunarc.calibration.model.pose_change import PoseChange
 from sunarc.calibration.model.result import Calibration, refused_for, with_finding
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.projection_choice import options_as_served
-from sunarc.calibration.quality.fit_checks import JudgedFit
+from sunarc.calibration.quality.fit_checks import JudgedFit, is_tilt_shown
 from sunarc.calibration.quality.tilt import tilt_question
 from sunarc.calibration.quality.widening import with_clock, with_larger_errors, with_pose_spread
 from sunarc.calibration.selection import select_sightings, surest_of_epochs
@@ -265,12 +265,12 @@ def document_of(
 
 
 def doubts(calibration: Calibration, camera: ArchiveCamera) -> tuple[Finding, ...]:
-    """Return the findings of a camera's first fit against the site or the times that were given."""
+    """Return the findings of a camera's first fit against the site or the times; none of a tilt that its suns show."""
     found = []
     wanted = camera.options.mirrored
     if wanted != "auto" and calibration.camera.mirrored != (wanted == "yes"):
         found.append(Finding("camera_mirrored", {"mirrored": "yes" if calibration.camera.mirrored else "no"}))
-    tilted = tilt_question(calibration.camera, camera.site)
+    tilted = None if is_tilt_shown(calibration) else tilt_question(calibration.camera, camera.site)
     return (*found, tilted) if tilted is not None else tuple(found)
 
 
@@ -317,8 +317,21 @@ def first_analysis(given: CameraSightings) -> Rough:
         return Rough(findings=(alternate,))
     epochs, path = find_epochs(given.points, found.states, given.camera)
     states = list(found.states) if given.states else with_true_clock(found.states, path, given.camera.site)
-    largest = states[max(range(len(states)), key=lambda number: int((path == number).sum()))]
-    return Rough(tuple(states), tuple(epochs), doubts(largest.calibration, given.camera))
+    largest = max(range(len(states)), key=lambda number: int((path == number).sum()))
+    of_largest = given.points.select(path == largest)
+    return Rough(tuple(states), tuple(epochs), _doubts_of_state(states[largest], of_largest, given.camera))
+
+
+def _doubts_of_state(state: State, points: Sightings, camera: ArchiveCamera) -> tuple[Finding, ...]:
+    """Return the findings against site or times that a whole fit of a state's sightings leaves.
+
+    A state is a quick fit: it asks neither the horizon about a tilt nor the mount about the hand.
+    """
+    first = doubts(state.calibration, camera)
+    either = camera._replace(options=replace(camera.options, mirrored="auto"))
+    fitted = fit_poses(points, np.zeros(len(points), dtype=np.int64), [state], either) if first else {}
+    whole = next((one.calibration for one in fitted.values() if one.calibration.evidence.n_used), None)
+    return first if whole is None else doubts(whole, camera)
 
 
 def final_analysis(given: CameraSightings) -> Final:

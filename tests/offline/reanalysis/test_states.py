@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from tests.fixtures.calibration import ideal_camera
 
 from sunarc.archives.fit import CameraSightings, Final, Rough, final_analysis, first_analysis
 from sunarc.archives.states import ArchiveCamera
@@ -15,8 +16,9 @@ from sunarc.calibration.model.sightings import Sightings
 from sunarc.common.array_types import FloatArray
 from sunarc.lab.simulation.made_archive import CameraChange, MadeArchive, MadeCamera, camera_at, true_times
 from sunarc.optics.forward import project
+from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles
 from sunarc.sky.site import Site
-from sunarc.sky.sun import sun_directions
+from sunarc.sky.sun import sun_angles, sun_directions
 
 SIZE = 480
 NOISE_PX = 0.3
@@ -155,6 +157,22 @@ def test_a_wrong_zone_is_named_with_the_hours(hours: float) -> None:
     assert finding.data["hours"] == hours
     assert float(finding.data["odds"]) > 1.0
     assert 10.0 * abs(hours) - 2.0 < float(finding.data["tilt_deg"]) < 15.0 * abs(hours) + 2.0
+
+
+@pytest.mark.parametrize(("exchanged", "code"), [(False, None), (True, "camera_tilted_by_exchange")])
+def test_a_site_is_doubted_unless_the_suns_at_the_horizon_show_the_tilt(*, exchanged: bool, code: str | None) -> None:
+    site = Site(latitude=37.98, longitude=23.73)
+    times = 1_710_928_800.0 + np.arange(-43_200.0, 43_200.0, 240.0)
+    times = times[sun_angles(times, site).apparent_zenith < 89.5]
+    pose = rotation_from_pose_angles(PoseAngles(25.0, 1.5 if exchanged else 12.0, 200.0))
+    camera = replace(ideal_camera(), rotation_cam_enu=pose)
+    noise = np.random.default_rng(1).normal(0.0, 0.02, (times.size, 2))
+    points = Sightings.of(unix_s=times, pixels=project(camera, sun_directions(times, site)) + noise)
+    stated = replace(site, latitude=site.longitude, longitude=site.latitude) if exchanged else site
+    archive = ArchiveCamera(stated, (camera.width, camera.height), CalibrationOptions())
+    rough = first_analysis(CameraSightings(points, archive))
+    assert [one.code for one in rough.findings] == ([] if code is None else [code])
+    assert rough.states
 
 
 @pytest.mark.parametrize("n", [0, 5])
