@@ -68,6 +68,35 @@ def test_each_thing_that_is_wrong_is_named(changes: dict[str, Any], state: str, 
     assert judged(**changes) == (state, codes)
 
 
+@pytest.mark.parametrize(
+    ("changes", "state", "text"),
+    [
+        ({}, "ready", "ready"),
+        ({"received_at": None, "status": {}}, "not_serving", "has never sent anything"),
+        ({"status": reported(health="not_ready", conditions=["camera_refused"])}, "not_serving", "camera refused"),
+        ({"status": reported(health="degraded", conditions=["no_calibration"])}, "starting", "no calibration"),
+        ({"status": reported(health="degraded", conditions=["clock_stepped"])}, "ready_with_note", "clock stepped"),
+        ({"calibration": None, "sky_rms_deg": None}, "starting", "no calibration"),
+        ({"n_quarantined": 2}, "attention", "2 in quarantine"),
+        ({"status": reported(state="attention", state_text="moved by 2.5°")}, "attention", "moved by 2.5°"),
+        (
+            {"status": reported(health="degraded", conditions=["a"], state="starting", state_text="collecting")},
+            "starting",
+            "collecting",
+        ),
+        ({"status": reported(state="starting", state_text="collecting"), "n_quarantined": 1}, "attention", "1 in qu"),
+        ({"status": reported(state="of a later version")}, "ready", "ready"),
+        ({"status": reported(state=["no word"])}, "ready", "ready"),
+    ],
+)
+def test_a_camera_has_the_state_of_its_imager_and_of_what_the_hub_finds(
+    changes: dict[str, Any], state: str, text: str
+) -> None:
+    (member,) = members((replace(GOOD, **changes),), NOON)
+    assert member.service_state == state
+    assert member.state_text.startswith(text)
+
+
 CHECK = CrossCheck(camera="roof", neighbours=("gate", "mast", "yard"), n_days=40, found=(), since=date(2026, 5, 20))
 OF_CLOUDS: dict[str, Any] = {"found": ("clock_by_clouds",), "cloud_clock_s": 45.0, "cloud_clock_sigma_s": 8.0}
 

@@ -27,7 +27,8 @@ def test_alive_is_alive_whatever_is_the_matter(made: Made) -> None:
 
 
 def test_ready_is_ready(made: Made) -> None:
-    assert made.client.get("/readyz").json() == {"status": "ready", "reasons": [], "findings": []}
+    nothing: dict[str, list[object]] = {"reasons": [], "notes": [], "findings": []}
+    assert made.client.get("/readyz").json() == {"status": "ready", "state": "ready", "state_text": "ready"} | nothing
 
 
 def test_degraded_still_serves_and_says_why(made: Made) -> None:
@@ -35,6 +36,7 @@ def test_degraded_still_serves_and_says_why(made: Made) -> None:
     answer = made.client.get("/readyz")
     assert answer.status_code == 200
     assert answer.json()["status"] == "degraded"
+    assert (answer.json()["state"], answer.json()["state_text"]) == ("attention", "the camera moved")
     assert answer.json()["reasons"] == [
         {
             "code": "drift",
@@ -42,9 +44,33 @@ def test_degraded_still_serves_and_says_why(made: Made) -> None:
             "text": "the camera moved",
             "remedy": "wait for a clear day",
             "since": "2013-05-13T09:30:00Z",  # the service started then, and its clock stands still
+            "state": "attention",
         }
     ]
     assert answer.json()["findings"] == [{"code": "drift", "data": {"moved_deg": 0.5, "sigma_deg": None}}]
+
+
+NOTE = Reason(code="camera_moved", severity="note", text="moved by 2.5°", remedy="acknowledge it")
+
+
+def test_a_note_leaves_status_metric_and_reasons_as_they_are(made: Made) -> None:
+    made.board.set_condition(NOTE.code, NOTE)
+    answer = made.client.get("/readyz")
+    assert answer.status_code == 200
+    ready = answer.json()
+    assert (ready["status"], ready["reasons"], ready["findings"]) == ("ready", [], [])
+    assert (ready["state"], ready["state_text"]) == ("attention", NOTE.text)
+    assert [(one["code"], one["severity"], one["state"]) for one in ready["notes"]] == [
+        ("camera_moved", "note", "attention")
+    ]
+    status = made.client.get("/v1/status").json()
+    assert {key: status[key] for key in ("health", "state", "state_text", "notes")} == {
+        **{key: ready[key] for key in ("state", "state_text", "notes")},
+        "health": "ready",
+    }
+    told = numbers(made)
+    assert told["sunarc_health", ("ready",)] == 1.0
+    assert not any(name == "sunarc_reason" for name, _ in told)
 
 
 def test_not_ready_is_a_problem_with_every_remedy(made: Made) -> None:
@@ -53,6 +79,7 @@ def test_not_ready_is_a_problem_with_every_remedy(made: Made) -> None:
     answer = made.client.get("/readyz")
     assert (answer.status_code, answer.headers["content-type"]) == (503, "application/problem+json")
     assert answer.json()["detail"] == f"{LOST.text}; {LOST.remedy}"
+    assert (answer.json()["state"], answer.json()["state_text"]) == ("not_serving", LOST.text)
     assert [(error["field"], error["remedy"]) for error in answer.json()["errors"]] == [
         ("camera_lost", "check its cable"),
         ("drift", "wait for a clear day"),

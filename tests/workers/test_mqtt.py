@@ -232,7 +232,7 @@ def test_a_broker_that_confirms_slowly_holds_up_nobody(bench: Pushing, monkeypat
     """Each receipt comes just in time, and there are twenty of them."""
     monkeypatch.setattr(mqtt, "_WITHIN_S", 0.5)
     monkeypatch.setattr(mqtt, "_REFRESH_S", 0.2)
-    states = {f"c{n}": CameraState(health="ready") for n in range(40)}
+    states = {f"c{n}": CameraState(health="ready", state="ready", state_text="ready") for n in range(40)}
     beats: list[float] = []
     with socket.create_server(("127.0.0.1", 0)) as listening:
         threading.Thread(target=confirming_slowly, args=(listening, 0.4), daemon=True).start()
@@ -281,7 +281,9 @@ def test_a_probe_leaves_what_the_running_service_shows(bench: Pushing, broker: M
 
 def test_the_announcement_to_home_assistant_has_what_it_needs() -> None:
     """By its documentation: topics, a unique id, a device, and templates over the JSON of the state."""
-    state = CameraState(health="ready", calibration="c", calibrated_at=None, sky_rms_deg=0.01)
+    state = CameraState(
+        health="ready", state="ready", state_text="ready", calibration="c", calibrated_at=None, sky_rms_deg=0.01
+    )
     *entities, (topic, told) = mqtt.retained("a roof/1", replace(state), availability=THERE)
     assert topic == "sunarc/a_roof_1/state"
     fields = json.loads(told)
@@ -348,7 +350,7 @@ class Distance:
 
 
 def test_the_states_of_a_fleet_do_not_wait_for_one_another(bench: Pushing, broker: Mosquitto) -> None:
-    states = {f"c{n}": CameraState(health="ready") for n in range(40)}
+    states = {f"c{n}": CameraState(health="ready", state="ready", state_text="ready") for n in range(40)}
     distance = Distance(broker.port, 0.02)
     far = MqttBroker(
         PushOptions(mqtt=f"mqtt://127.0.0.1:{distance.port}"), states=lambda: states, clock=bench.clock, client="hub"
@@ -366,7 +368,7 @@ def test_states_that_take_long_go_on_at_the_next_call_and_equal_ones_are_not_loo
     broker: Mosquitto, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     clock = VirtualClock(datetime(2026, 6, 1, tzinfo=UTC))
-    states = {f"c{n}": CameraState(health="ready") for n in range(5)}
+    states = {f"c{n}": CameraState(health="ready", state="ready", state_text="ready") for n in range(5)}
     made: list[str] = []
 
     def slowly(camera: str, state: CameraState, *, availability: str) -> Iterator[tuple[str, str]]:
@@ -383,7 +385,7 @@ def test_states_that_take_long_go_on_at_the_next_call_and_equal_ones_are_not_loo
     near.publish_states(lambda: None)
     near.publish_states(lambda: None)
     assert made == ["c0", "c1", "c2", "c3", "c4"]
-    states["c1"] = CameraState(health="degraded")
+    states["c1"] = CameraState(health="degraded", state="attention", state_text="lost")
     near.publish_states(lambda: None)
     assert made[5:] == ["c1"]
     near.close(graceful=True)

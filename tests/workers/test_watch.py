@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from datetime import UTC, date, datetime
 from pathlib import Path
@@ -177,6 +178,69 @@ def test_after_a_bump_a_provisional_pose_is_served_within_twenty_sightings(image
     times = imager.archive.sightings.columns("roof", pose_epoch=second.id).unix_s
     assert times.min() >= NOON
     assert imager.archive.sightings.columns("roof", pose_epoch=first.id).unix_s.max() < NOON
+
+
+def notes(imager: Imager) -> dict[str, tuple[str, str]]:
+    """Return state and sentence of the notes by code, after the watch looked at the archive."""
+    imager.watch.process_next()
+    return {one.code: (one.state, one.text) for one in imager.board.snapshot().notes}
+
+
+def serve_full(imager: Imager, calibration: Calibration, *, pose_epoch: str) -> None:
+    full = to_document(
+        calibration,
+        id=f"full-{pose_epoch}",
+        camera="roof",
+        state="candidate",
+        created_at=imager.now,
+        valid_from=imager.now,
+        valid_until=None,
+        pose_epoch=pose_epoch,
+        software_version="1",
+    )
+    imager.archive.calibrations.activate(imager.archive.calibrations.add(full).id)
+
+
+def test_a_move_asks_for_attention_until_it_is_fitted_and_is_a_note_until_it_is_acknowledged(
+    imager: Imager, good: Calibration
+) -> None:
+    moved = turned(TRUTH, (0.0, 2.5, 0.0))
+    imager.see_many(TRUTH, range(-15, 0))
+    assert notes(imager) == {}
+    imager.see_many(moved, range(20))
+    state, text = notes(imager)["camera_moved"]
+    assert state == imager.board.snapshot().state == "attention"
+    assert text == imager.board.snapshot().state_text
+    assert re.fullmatch(
+        r"moved by 2\.5° ± 0\.\d+° on 14 May 2013 18:\d\d UTC, provisional pose since, next fit after a clear day", text
+    )
+    (event,) = imager.events()
+    assert event.to_acknowledge
+    assert event.id is not None
+    serve_full(imager, replace(good, camera=replace(moved, max_angle=good.camera.max_angle)), pose_epoch="roof-2")
+    assert [(code, state) for code, (state, _) in notes(imager).items()] == [("camera_moved_fitted", "ready_with_note")]
+    imager.archive.events.acknowledge("roof", event.id, at=imager.now, reason="a bird")
+    assert notes(imager) == {}
+    assert not imager.events()[0].to_acknowledge
+
+
+def test_a_move_that_is_acknowledged_asks_for_attention_until_it_is_fitted(imager: Imager) -> None:
+    imager.see_many(TRUTH, range(-15, 0))
+    imager.see_many(turned(TRUTH, (0.0, 2.5, 0.0)), range(10))
+    (event,) = imager.events()
+    assert event.id is not None
+    imager.archive.events.acknowledge("roof", event.id, at=imager.now, reason="a bird")
+    assert notes(imager).keys() == {"camera_moved"}
+    imager.watch = imager.new_watch()  # a restart forgets nothing
+    assert notes(imager).keys() == {"camera_moved"}
+
+
+def test_a_move_whose_epoch_is_closed_is_acknowledged_and_shown_no_longer(imager: Imager) -> None:
+    imager.see_many(TRUTH, range(-15, 0))
+    imager.see_many(turned(TRUTH, (0.0, 2.5, 0.0)), range(10))
+    imager.archive.calibrations.close_epoch("roof-2", at=imager.now, reason="a bird")
+    assert notes(imager) == {}
+    assert [event.to_acknowledge for event in imager.events()] == [False]
 
 
 def test_a_provisional_pose_grows_surer_and_a_full_fit_ends_it(imager: Imager, good: Calibration) -> None:

@@ -197,6 +197,8 @@ def _rule(column: Column[Any]) -> _Rule:  # noqa: PLR0911 - a column has one of 
 _STATUS: Mapping[str, tuple[_Rule, str]] = {
     "version": (_TEXT, "Version of the sender's software."),
     "health": (_words(("ready", "degraded", "not_ready")), "How it is."),
+    "state": (_TEXT, "The same in one of five words: not_serving, attention, starting, ready_with_note, ready."),
+    "state_text": (_TEXT, "What decides the state, in a sentence."),
     "conditions": (_LIST, "Codes of what is wrong (codes.md), a list of words."),
     "disk_free_bytes": (_NUMBER, "Free space where the images are, bytes."),
     "clock_synchronised": (_FLAG, "Whether a time service steers its clock."),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from datetime import date, datetime, timedelta
 from functools import lru_cache
@@ -15,6 +15,9 @@ from sunarc.common.utc import DAY_S
 from sunarc.hub.nightly_store import CrossCheck, CrossChecks
 from sunarc.imager.archive.feed_rows import FleetCamera
 from sunarc.imager.runtime.json_fields import Returned, described
+from sunarc.imager.runtime.states import State as ServiceState
+from sunarc.imager.runtime.states import state_and_text, worst
+from sunarc.imager.runtime.status import Reason
 from sunarc.sky.days import solar_date
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_directions
@@ -54,6 +57,12 @@ class FleetMember(FleetCamera):
     """A camera as the hub sees it, with the worst that there is to say of it."""
 
     state: Annotated[State, described("The worst of it; `quarantine`: something of it was refused or set apart.")]
+    service_state: Annotated[
+        ServiceState, described("The same in the words of the imager's own `/readyz`, with what the hub finds.")
+    ]
+    state_text: Annotated[
+        str, described("What decides `service_state`, in a sentence.", "moved by 2.50° ± 0.30° on 27 Nov 14:05 UTC")
+    ]
     why: Annotated[tuple[FleetReason, ...], described("Why it is not ready, the worst first; empty: it is.")] = ()
 
 
@@ -75,9 +84,39 @@ def members(cameras: tuple[FleetCamera, ...], now: datetime, crossed: CrossCheck
         order = sorted(of_state, key=lambda one: get_args(State).index(one[0]))
         state: State = order[0][0] if order else "ready"
         values = {name: getattr(camera, name) for name in names}
-        found.append(FleetMember(**values, state=state, why=tuple(reason for _, reason in order)))
-    order_of = get_args(State).index
-    return sorted(found, key=lambda one: (order_of(one.state), -(one.sky_rms_deg or 0.0), one.camera))
+        service_state, text = _service_state(camera, order)
+        why = tuple(reason for _, reason in order)
+        found.append(FleetMember(**values, state=state, service_state=service_state, state_text=text, why=why))
+    of_fleet, of_service = get_args(State).index, get_args(ServiceState).index
+    return sorted(
+        found,
+        key=lambda one: (
+            of_service(one.service_state),
+            of_fleet(one.state),
+            -(one.sky_rms_deg or 0.0),
+            one.camera,
+        ),
+    )
+
+
+def _service_state(camera: FleetCamera, found: list[tuple[State, FleetReason]]) -> tuple[ServiceState, str]:
+    """Return the state of a camera, as its imager reports it or by its conditions, with what the hub found."""
+    status: Mapping[str, Any] = camera.status or {}
+    own, listed = status.get("state"), status.get("conditions")
+    reported = set(map(str, listed)) if own in get_args(ServiceState) and isinstance(listed, list) else set()
+    state, text = state_and_text(
+        Reason(
+            code=reason.code,
+            severity="not_ready" if kind == "not_ready" else "degraded",
+            text=reason.text,
+            remedy="",
+        )
+        for kind, reason in found
+        if reason.code not in reported
+    )
+    if own in get_args(ServiceState) and worst((own, state)) == own:
+        return own, str(status.get("state_text") or own)
+    return state, text
 
 
 def status_number(camera: FleetCamera, name: str) -> float | None:

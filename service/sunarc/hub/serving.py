@@ -115,6 +115,8 @@ def fleet_states(archive: HubArchive, now: Callable[[], datetime]) -> Callable[[
         return {
             camera.camera: CameraState(
                 health=camera.state,
+                state=camera.service_state,
+                state_text=camera.state_text,
                 conditions=_fleet_conditions(camera),
                 calibration=camera.calibration,
                 calibrated_at=camera.calibrated_at,

@@ -11,7 +11,7 @@ from sunarc.common.errors import ConfigurationError, InputError
 from sunarc.common.findings import Finding
 from sunarc.imager.archive.archive import Archive
 from sunarc.imager.archive.sightings import LENS_CHANGED, require_same_site
-from sunarc.imager.archive.values import CameraRecord, Event
+from sunarc.imager.archive.values import TO_ACKNOWLEDGE, CameraRecord, Event
 from sunarc.imager.cameras.aravis import open_aravis
 from sunarc.imager.cameras.frame import CameraInfo, SkyCamera
 from sunarc.imager.cameras.replay import open_replay
@@ -102,7 +102,13 @@ def note_other_camera(archive: Archive, record: CameraRecord, *, at: datetime) -
     details = {"model": record.model, "serial": record.serial, "serial_before": stored.serial}
     replaced = Finding("camera_replaced", {**details, "calibration": retired or "none"})
     archive.events.add(
-        Event.of(replaced, time=at, severity="alarm", camera=record.name, details={"calibration": retired})
+        Event.of(
+            replaced,
+            time=at,
+            severity="alarm",
+            camera=record.name,
+            details={"calibration": retired, TO_ACKNOWLEDGE: True},
+        )
     )
     return record
 

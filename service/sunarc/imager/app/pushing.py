@@ -75,6 +75,8 @@ def imager_states(camera: CameraArchive, board: StatusRegistry) -> Callable[[], 
         snapshot, record = board.snapshot(), camera.archive.calibrations.current(camera.name)
         state = CameraState(
             health=snapshot.health,
+            state=snapshot.state,
+            state_text=snapshot.state_text,
             conditions=snapshot.conditions,
             calibration=None if record is None else record.id,
             calibrated_at=None if record is None else record.created_at,

@@ -34,7 +34,7 @@ from sunarc.imager.archive.calibration_rows import (
 from sunarc.imager.archive.columns import copy_used, keep_used, sightings_used_by
 from sunarc.imager.archive.database.store import Database, Part, given, values_of
 from sunarc.imager.archive.database.tables import calibration, pose_epoch, sun_point
-from sunarc.imager.archive.events import insert_event
+from sunarc.imager.archive.events import acknowledge_at, insert_event
 from sunarc.imager.archive.pictures_of_one_time import ELSEWHERE
 from sunarc.imager.archive.sightings import LENS_CHANGED, MOVED, not_closed
 from sunarc.imager.archive.values import CalibrationRecord, CalibrationState, Event, PoseEpoch, SunPointColumns
@@ -359,6 +359,7 @@ class CalibrationStore(Part):
         with self._database.writing() as connection:
             wrong, before = _with_the_one_before(connection, epoch_id)
             _join(connection, wrong, before)
+            acknowledge_at(connection, wrong.camera, wrong.started_at, at=at, reason=reason)
             current = self._serve_again(connection, wrong, at=at, reason=reason)
             data = {"pose_epoch": wrong.id, "started_at": wrong.started_at.isoformat(), "reason": reason}
             details = {"continues": before.id, "calibration": current}

@@ -10,12 +10,15 @@ from typing import get_args
 
 from sqlalchemy import Connection, and_, delete, func, insert, or_, select, update
 
-from sunarc.common.errors import NotFoundError
+from sunarc.common.errors import ConflictError, NotFoundError
 from sunarc.common.findings import Finding
+from sunarc.common.utc import rfc3339
 from sunarc.imager.archive.database import tables
 from sunarc.imager.archive.database.store import Part, given, upsert, values_of
 from sunarc.imager.archive.database.tables import condition, housekeeping, refit
 from sunarc.imager.archive.values import (
+    ACKNOWLEDGED_AT,
+    ACKNOWLEDGED_BECAUSE,
     Event,
     EventSeverity,
     Housekeeping,
@@ -125,15 +128,48 @@ class EventStore(Part):
         until: datetime | None = None,
         severity: EventSeverity | None = None,
         kind: str | None = None,
+        to_acknowledge: bool = False,
         limit: int | None = None,
     ) -> tuple[Event, ...]:
-        """Return the events with `since` <= time < `until`, the newest first; None does not filter."""
+        """Return the events with `since` <= time < `until`, the newest first; None does not filter.
+
+        With `to_acknowledge`, those alone that an operator has to acknowledge.
+        """
         c = tables.event.c
         of_camera = [] if camera is None else [(c.camera == camera) | c.camera.is_(None)]
         filters = given((c.time.__ge__, since), (c.time.__lt__, until), (c.severity.__eq__, severity))
         filters += given((c.kind.__eq__, kind))
-        statement = select(tables.event).where(*of_camera, *filters).order_by(c.time.desc(), c.id.desc()).limit(limit)
-        return self._database.values(statement, Event)
+        statement = select(tables.event).where(*of_camera, *filters).order_by(c.time.desc(), c.id.desc())
+        if not to_acknowledge:
+            return self._database.values(statement.limit(limit), Event)
+        alarms = self._database.values(statement.where(c.severity == "alarm"), Event)
+        return tuple(event for event in alarms if event.to_acknowledge)[:limit]
+
+    def get(self, camera: str, event_id: int) -> Event:
+        """Return an event of a camera by its number; NotFoundError where it is no event of this camera."""
+        with self._database.reading() as connection:
+            return _event(connection, camera, event_id)
+
+    def acknowledge(self, camera: str, event_id: int, *, at: datetime, reason: str) -> Event:
+        """Note that an operator has acknowledged an event, and return it.
+
+        Raises
+        ------
+        NotFoundError
+            It is no event of this camera.
+        ConflictError
+            It needs no acknowledgement, or has one.
+        """
+        with self._database.writing() as connection:
+            found = _event(connection, camera, event_id)
+            if not found.to_acknowledge:
+                before = found.details.get(ACKNOWLEDGED_AT)
+                problem = (
+                    f"was acknowledged at {before}" if before else f"of kind {found.kind} needs no acknowledgement"
+                )
+                remedy = "see /v1/events?to_acknowledge=true for those that do"
+                raise ConflictError(field="id", problem=f"event {event_id} {problem}", remedy=remedy)
+            return _acknowledge(connection, found, at=at, reason=reason)
 
     def last_id(self) -> int:
         """Return the number of the newest event of all cameras; 0 without one."""
@@ -146,6 +182,30 @@ class EventStore(Part):
         of_camera = (c.camera == camera) | c.camera.is_(None)
         newest = select(tables.event).where(of_camera, c.id > event_id).order_by(c.id.desc()).limit(limit)
         return self._database.values(newest, Event)[::-1]
+
+
+def _event(connection: Connection, camera: str, event_id: int) -> Event:
+    c = tables.event.c
+    of_camera = (c.camera == camera) | c.camera.is_(None)
+    found = values_of(connection, select(tables.event).where(c.id == event_id, of_camera), Event)
+    if not found:
+        problem = f"there is no event {event_id} of camera {camera}"
+        raise NotFoundError(field="id", problem=problem, remedy="see /v1/events for those that there are")
+    return found[0]
+
+
+def _acknowledge(connection: Connection, event: Event, *, at: datetime, reason: str) -> Event:
+    details = {**event.details, ACKNOWLEDGED_AT: rfc3339(at), ACKNOWLEDGED_BECAUSE: reason}
+    connection.execute(update(tables.event).where(tables.event.c.id == event.id).values(details=details))
+    return replace(event, details=details)
+
+
+def acknowledge_at(connection: Connection, camera: str, time: datetime, *, at: datetime, reason: str) -> None:
+    """Acknowledge the events of a camera and a time that are to be, in a transaction."""
+    c = tables.event.c
+    for event in values_of(connection, select(tables.event).where(c.camera == camera, c.time == time), Event):
+        if event.to_acknowledge:
+            _acknowledge(connection, event, at=at, reason=reason)
 
 
 def log_event(stored: Event) -> None:

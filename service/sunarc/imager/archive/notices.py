@@ -74,11 +74,14 @@ class CameraState:
     Attributes
     ----------
     health : "ready", "degraded", "not_ready"; at a hub also "silent", "quarantine", "uncalibrated".
+    state, state_text : the state in one word (`runtime/states.py`), and the sentence of what decides it.
     conditions : the data of what is set, by code.
     calibration, calibrated_at, sky_rms_deg : the current one, when it was made, and its 1-sigma over the sky.
     """
 
     health: str
+    state: str
+    state_text: str
     conditions: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     calibration: str | None = None
     calibrated_at: datetime | None = None

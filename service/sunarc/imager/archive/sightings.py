@@ -542,6 +542,13 @@ class SightingStore(Part):
             select(c.verdict, func.count()).where(c.camera == camera, c.time >= since, c.time < until), c.verdict
         )
 
+    def count_accepted(self, camera: str) -> int:
+        """Return how many sightings of the sun were accepted."""
+        c = sun_point.c
+        of_sun = (c.camera == camera, c.body == SUN, c.accepted.is_(True))
+        with self._database.reading() as connection:
+            return connection.scalar(select(func.count()).select_from(sun_point).where(*of_sun)) or 0
+
     def by_day(self, camera: str, *, longitude: float, since: date, until: date) -> tuple[SightingCounts, ...]:
         """Return the counts of the looks at the sun on solar dates with `since` <= date < `until`, the newest first."""
         c, ahead = sun_point.c, round(1e6 * longitude * SECONDS_PER_DEGREE)

@@ -418,6 +418,12 @@ class Event(Returned):
     ] = field(default_factory=dict)
     id: Annotated[int | None, described("Its number in the archive.", 17)] = None
 
+    @computed_field(description="Whether it stays on top until an operator acknowledges it.", examples=[False])  # type: ignore[prop-decorator]
+    @property
+    def to_acknowledge(self) -> bool:
+        """Whether an operator has to acknowledge it."""
+        return TO_ACKNOWLEDGE in self.details and ACKNOWLEDGED_AT not in self.details
+
     @staticmethod
     def of(
         finding: Finding,
@@ -448,6 +454,12 @@ class Event(Returned):
         # numbers and names only: a boolean is none, though Python counts it among the integers
         plain = {key: value for key, value in self.details.items() if type(value) in {str, int, float}}
         return [Finding(code_of_event(self.kind, self.details), plain).as_json()]
+
+
+TO_ACKNOWLEDGE = "to_acknowledge"
+"""Detail of an event that an operator has to acknowledge."""
+ACKNOWLEDGED_AT, ACKNOWLEDGED_BECAUSE = "acknowledged_at", "acknowledged_because"
+"""Details of an event that was acknowledged: when, RFC 3339, and the operator's reason."""
 
 
 def code_of_event(kind: str, details: Mapping[str, Any]) -> str:

@@ -10,15 +10,15 @@ from datetime import datetime, timedelta
 from typing import Annotated, Any, Literal, TypedDict, Unpack
 
 from pydantic import Field as PydanticField
-from pydantic import TypeAdapter
+from pydantic import TypeAdapter, computed_field
 
 from sunarc.common.findings import Data, Finding
 from sunarc.imager.runtime.json_fields import EXAMPLE_TIME, Returned, Time, described
+from sunarc.imager.runtime.states import Severity, State, state_and_text, state_of_condition
 
 _log = logging.getLogger(__name__)
 
 Health = Literal["ready", "degraded", "not_ready"]
-Severity = Literal["degraded", "not_ready"]
 WorkerState = Literal["starting", "running", "restarting", "stopped", "failed"]
 
 
@@ -39,16 +39,24 @@ class WorkerStatus(Returned):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reason(Returned):
-    """Why the service is degraded or not ready; one reason per code."""
+    """Why the service is degraded or not ready, or a note; one reason per code."""
 
     code: Annotated[str, described("Stable name of the reason.", "no_calibration")]
-    severity: Annotated[Severity, described("`degraded` still answers, with less; `not_ready` cannot answer.")]
+    severity: Annotated[
+        Severity, described("`degraded` still answers, with less; `not_ready` cannot answer; a `note` limits nothing.")
+    ]
     text: Annotated[str, described("The reason, in a sentence.", "the camera does not answer")]
     remedy: Annotated[str, described("What to do about it.", "check power, cable and address")]
     since: Annotated[
         Time | None, described("Since when, by the host's clock; a restart does not begin it anew.", EXAMPLE_TIME)
     ] = None
     data: Annotated[Data, PydanticField(exclude=True)] = field(default_factory=dict)
+
+    @computed_field(description="The state of a service with this reason alone.", examples=["starting"])  # type: ignore[prop-decorator]
+    @property
+    def state(self) -> State:
+        """The state that it makes, by its code and severity."""
+        return state_of_condition(self.code, self.severity)
 
     @staticmethod
     def of(finding: Finding, *, severity: Severity = "degraded", code: str | None = None) -> Reason:
@@ -169,12 +177,16 @@ class Notes(TypedDict, total=False):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StatusSnapshot:
-    """The whole board at one moment; None is "not known yet". Times are aware, UTC, and of the frames."""
+    """The whole board at one moment; None is "not known yet". Times are aware, UTC, and of the frames.
+
+    `reasons` are the conditions that make the health; `notes` are those of severity `note`.
+    """
 
     version: str
     started_at: datetime
     workers: tuple[WorkerStatus, ...] = ()
     reasons: tuple[Reason, ...] = ()
+    notes: tuple[Reason, ...] = ()
     camera: CameraStatus | None = None
     capture: CaptureStatus | None = None
     clock: ClockStatus | None = None
@@ -199,6 +211,16 @@ class StatusSnapshot:
         if "not_ready" in severities:
             return "not_ready"
         return "degraded" if severities else "ready"
+
+    @property
+    def state(self) -> State:
+        """The worst state of the reasons and notes."""
+        return state_and_text((*self.reasons, *self.notes))[0]
+
+    @property
+    def state_text(self) -> str:
+        """The sentence of the condition that decides the state."""
+        return state_and_text((*self.reasons, *self.notes))[1]
 
 
 class StatusRegistry:
@@ -297,9 +319,11 @@ class StatusRegistry:
         with self._lock:
             now = self._monotonic()
             workers = tuple(_aged(status, now - at) for _, (status, at) in sorted(self._workers.items()))
-            reasons = tuple(reason for _, reason in sorted(self._reasons.items()))
+            conditions = [reason for _, reason in sorted(self._reasons.items())]
+            reasons = tuple(one for one in conditions if one.severity != "note")
+            notes = tuple(one for one in conditions if one.severity == "note")
             # Parts are frozen and replaced as wholes: a snapshot shares them with later ones.
-            return replace(self._noted, workers=workers, reasons=reasons)
+            return replace(self._noted, workers=workers, reasons=reasons, notes=notes)
 
 
 def _aged(status: WorkerStatus, elapsed_s: float) -> WorkerStatus:

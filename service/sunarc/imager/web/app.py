@@ -41,7 +41,13 @@ from sunarc.imager.web.routes.maps import map_routes, mask_routes, remap_routes
 from sunarc.imager.web.routes.metrics import CountRequests, RequestCounts, StatusCollector
 from sunarc.imager.web.routes.nights import night_routes
 from sunarc.imager.web.routes.overlay import overlay_routes
-from sunarc.imager.web.routes.record import day_air_routes, event_stream_routes, housekeeping_routes, record_routes
+from sunarc.imager.web.routes.record import (
+    acknowledgement_routes,
+    day_air_routes,
+    event_stream_routes,
+    housekeeping_routes,
+    record_routes,
+)
 from sunarc.imager.web.routes.stored_answers import AnswerFiles
 from sunarc.imager.web.routes.sun import sun_routes
 from sunarc.imager.web.schemas import BackProjectRequest, ProjectRequest
@@ -298,6 +304,7 @@ def add_camera_routes(app: FastAPI, context: ApiContext) -> None:
         remap_routes(context, files),
         mask_routes(context, files),
         day_air_routes(context),
+        acknowledgement_routes(context),
         refit_routes(context),
     ):
         app.include_router(of_camera, prefix=CAMERA_PREFIX)

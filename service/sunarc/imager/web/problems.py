@@ -12,6 +12,7 @@ from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
 from http import HTTPStatus
+from types import MappingProxyType
 from typing import Any
 
 from fastapi import FastAPI, Request
@@ -191,8 +192,9 @@ def problem_response(
     errors: Sequence[Fault] = (),
     headers: Mapping[str, str] | None = None,
     kind: str | None = None,
+    members: Mapping[str, str] = MappingProxyType({}),
 ) -> JSONResponse:
-    """Return a problem document as an answer, of the kind of its status unless one is given."""
+    """Return a problem document as an answer, of the kind of its status unless one is given, with further members."""
     problem = Problem(
         type=f"urn:sunarc:problem:{kind or _KINDS.get(status, 'http')}",
         title=status.phrase,
@@ -201,7 +203,9 @@ def problem_response(
         instance=path,
         errors=list(errors),
     )
-    return JSONResponse(problem.model_dump(), status_code=status, media_type=MEDIA_TYPE, headers=headers)
+    return JSONResponse(
+        problem.model_dump() | dict(members), status_code=status, media_type=MEDIA_TYPE, headers=headers
+    )
 
 
 Responses = dict[int | str, dict[str, Any]]

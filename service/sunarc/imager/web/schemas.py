@@ -14,6 +14,7 @@ from pydantic import BaseModel, Field, model_validator
 import sunarc
 from sunarc.imager.archive.values import CalibrationState, CameraRecord, Day, Event, Refit, SightingCounts, SunPoint
 from sunarc.imager.runtime.json_fields import EXAMPLE_TIME, Findings, FindingsJson, SolarDate, Time, described
+from sunarc.imager.runtime.states import State
 from sunarc.imager.runtime.status import (
     CameraStatus,
     CaptureStatus,
@@ -121,6 +122,18 @@ class Decision(Body):
         max_length=500,
         description="Why, in words; kept in the record.",
         examples=["the dome was cleaned"],
+    )
+
+
+class Acknowledgement(Body):
+    """What an operator says of an event."""
+
+    reason: str = Field(
+        default="seen",
+        min_length=1,
+        max_length=500,
+        description="Why, in words; kept with the event.",
+        examples=["the mast was bumped while it was painted"],
     )
 
 
@@ -301,6 +314,20 @@ class SunPoints(BaseModel):
     ] = None
 
 
+StateNow = Annotated[
+    State,
+    described("The state in one word, as page, fleet and MQTT show it: the worst that a reason or a note makes."),
+]
+StateText = Annotated[
+    str,
+    described(
+        "The condition that decides the state, in a sentence.",
+        "collecting: first calibration after the first clear day, 212 sightings so far",
+    ),
+]
+NotesNow = Annotated[tuple[Reason, ...], described("What an operator should know and nothing is limited by.")]
+
+
 class Alive(BaseModel):
     """The process answers."""
 
@@ -311,7 +338,10 @@ class Readiness(BaseModel):
     """Whether the service can be relied on."""
 
     status: Annotated[Health, described("The worst of the reasons' severities; `ready` without one.")]
+    state: StateNow
+    state_text: StateText
     reasons: Annotated[tuple[Reason, ...], described("Why it is degraded; empty when it is ready.")]
+    notes: NotesNow
     findings: FindingsJson
 
 
@@ -319,7 +349,10 @@ class Status(BaseModel):
     """State of the service, its workers, camera, clock and disk, and the current calibration."""
 
     health: Annotated[Health, described("The worst of the reasons' severities; `ready` without one.")]
+    state: StateNow
+    state_text: StateText
     reasons: Annotated[tuple[Reason, ...], described("Why it is degraded or not ready; empty when it is ready.")]
+    notes: NotesNow
     findings: FindingsJson
     version: Annotated[str, described("The software's version.", sunarc.__version__)]
     camera_name: Annotated[str, described("Name of this service's camera.", "imager")]

@@ -13,6 +13,7 @@ from datetime import datetime, timedelta
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
 from sunarc.common.errors import InputError, OutsideError
 from sunarc.common.findings import Finding
+from sunarc.common.messages import significant
 from sunarc.common.utc import DAY_S, rfc3339, utc_time
 from sunarc.imager.archive.archive import CameraArchive
 from sunarc.imager.cameras.options import TAI_MINUS_UTC_S
@@ -492,11 +493,22 @@ class ClockWatch:
         offset = camera_offset(offset_s, limit_s=_CAMERA_OFFSET_S) if is_off else None
         self._put("clock_settling", Finding("clock_settling", {"wait_s": wait_s}) if wait_s > 0.0 else None, log=True)
         self._put("camera_clock_offset", offset)
-        unsynchronised = Finding("clock_unsynchronised", {"clock": self._whose})
-        self._put("clock_unsynchronised", unsynchronised if without else None, log=True)
+        self._put("clock_unsynchronised", self._unsynchronised() if without else None, log=True)
         if offset is not None and not self._is_offset_written:
             self._write_offset(offset)
         self._is_offset_written = is_off
+
+    def _unsynchronised(self) -> Finding:
+        """Return that the clock is not synchronised, with what that costs in degrees."""
+        return Finding("clock_unsynchronised", {"clock": self._whose, "cost": cost_of_clock(self._sigma_deg())})
+
+    def _sigma_deg(self) -> float | None:
+        """Return the 1-sigma over the sky of the served calibration; None without one that can be read."""
+        try:
+            record = self.camera.archive.calibrations.current(self.camera.name)
+        except OutsideError:
+            return None
+        return None if record is None else record.document.get("uncertainty", {}).get("sky_rms_deg")
 
     def _write_offset(self, offset: Finding) -> None:
         """Write an event when the camera's time is found not to be the host's."""
@@ -512,8 +524,24 @@ class ClockWatch:
 
 # Conditions of the clock that dates the frames.
 
+_SUN_DEG_PER_S = 360.0 / DAY_S
+"""Turn of the sun about the pole in a second, degrees."""
+_QUARTZ = 50e-6
+"""Rate by which a computer's quartz may be wrong outdoors (data sheets: 20 to 100 ppm)."""
 _ABOUT_S = 1.0
 """How near to TAI less UTC a difference must be to be called that."""
+
+
+def cost_of_clock(sigma_deg: float | None) -> str:
+    """Return in words what a clock costs that nothing corrects; `sigma_deg` is that of the served calibration."""
+    sky = f"each second that it is wrong moves the expected sun by {_SUN_DEG_PER_S:.4f}°"
+    if sigma_deg is None:
+        return sky
+    a_day_deg = _SUN_DEG_PER_S * DAY_S * _QUARTZ
+    return (
+        f"directions of pixels keep their 1-sigma of {significant(sigma_deg, 2)}°; {sky}, "
+        f"by up to {significant(a_day_deg, 1)}° more each day"
+    )
 
 
 def stepped(code: str, clock: str, step: ClockStep) -> Finding:

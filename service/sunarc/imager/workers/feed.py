@@ -378,6 +378,8 @@ class FeedWorker:
         return {
             "version": board.version,
             "health": board.health,
+            "state": board.state,
+            "state_text": board.state_text,
             "conditions": [reason.code for reason in board.reasons],
             "disk_free_bytes": None if board.disk is None else board.disk.free_bytes,
             "clock_synchronised": None if board.clock is None else board.clock.synchronised,

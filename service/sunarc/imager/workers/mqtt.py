@@ -229,6 +229,8 @@ def retained(camera: str, state: CameraState, *, availability: str) -> Iterator[
     conditions = list(state.conditions.values())
     state_now = {
         "health": state.health,
+        "state": state.state,
+        "state_text": state.state_text[:255],
         "problem": "ON" if state.health != "ready" else "OFF",
         "conditions": conditions,
         "reasons": "; ".join(str(one.get("text") or one.get("code", "")) for one in conditions)[:255],
@@ -249,6 +251,16 @@ _ENTITIES: tuple[tuple[str, str, Mapping[str, str]], ...] = (
         "sensor",
         "health",
         {"name": "Health", "value_template": "{{ value_json.health }}", "icon": "mdi:heart-pulse"},
+    ),
+    (
+        "sensor",
+        "state",
+        {"name": "State", "value_template": "{{ value_json.state | replace('_', ' ') }}", "icon": "mdi:telescope"},
+    ),
+    (
+        "sensor",
+        "state_text",
+        {"name": "State in words", "value_template": "{{ value_json.state_text }}"},
     ),
     (
         "sensor",

@@ -52,14 +52,25 @@ def readiness(snapshot: StatusSnapshot, path: str) -> schemas.Readiness | JSONRe
     """Return the answer to whether the service is ready, for a path."""
     if snapshot.health == "not_ready":
         return _not_ready(snapshot, path)
-    return schemas.Readiness(status=snapshot.health, reasons=snapshot.reasons, findings=snapshot.findings)
+    return schemas.Readiness(
+        status=snapshot.health,
+        state=snapshot.state,
+        state_text=snapshot.state_text,
+        reasons=snapshot.reasons,
+        notes=snapshot.notes,
+        findings=snapshot.findings,
+    )
 
 
 def _not_ready(snapshot: StatusSnapshot, path: str) -> JSONResponse:
     faults = [Fault(field=reason.code, problem=reason.text, remedy=reason.remedy) for reason in snapshot.reasons]
     worst = next(reason for reason in snapshot.reasons if reason.severity == "not_ready")
     return problem_response(
-        HTTPStatus.SERVICE_UNAVAILABLE, path=path, detail=f"{worst.text}; {worst.remedy}", errors=faults
+        HTTPStatus.SERVICE_UNAVAILABLE,
+        path=path,
+        detail=f"{worst.text}; {worst.remedy}",
+        errors=faults,
+        members={"state": snapshot.state, "state_text": snapshot.state_text},
     )
 
 
@@ -71,6 +82,8 @@ def _status(context: ApiContext) -> schemas.Status:
     return schemas.Status(
         **fields_of(snapshot),
         health=snapshot.health,
+        state=snapshot.state,
+        state_text=snapshot.state_text,
         findings=snapshot.findings,
         camera_name=context.camera,
         frame_time=context.frame_clock(),

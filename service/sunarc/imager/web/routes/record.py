@@ -18,7 +18,7 @@ from sunarc.common.errors import InputError, NotFoundError, OutsideError
 from sunarc.common.foreign_files import read_regular
 from sunarc.common.utc import rfc3339
 from sunarc.imager.archive.notices import NoticeKind, condition_changes, stored_changes
-from sunarc.imager.archive.values import Day, DayAir, EventSeverity, Housekeeping, HousekeepingStep, fields_of
+from sunarc.imager.archive.values import Day, DayAir, Event, EventSeverity, Housekeeping, HousekeepingStep, fields_of
 from sunarc.imager.runtime.json_fields import SolarDate, described
 from sunarc.imager.runtime.status import StatusSnapshot
 from sunarc.imager.web.context import ApiContext
@@ -28,7 +28,7 @@ from sunarc.imager.web.parameters import Cursor, IfNoneMatch, Since, Until, page
 from sunarc.imager.web.problems import answers, described_answer
 from sunarc.imager.web.routes.calibrations import matches
 from sunarc.imager.web.routes.images import ThumbnailWidth, thumbnail
-from sunarc.imager.web.schemas import DayAirIn, DayAirOut, Days, DayWithAir, Events
+from sunarc.imager.web.schemas import Acknowledgement, DayAirIn, DayAirOut, Days, DayWithAir, Events
 
 DayPath = Annotated[SolarDate, Path(description="Local mean solar date.", examples=["2013-05-13"])]
 
@@ -104,13 +104,20 @@ def record_routes(context: ApiContext) -> APIRouter:
         until: Until = None,
         severity: Annotated[EventSeverity | None, Query(description="Of the events to return.")] = None,
         kind: Annotated[str | None, Query(max_length=60, description="Of the events to return.")] = None,
+        to_acknowledge: Annotated[bool, Query(description="Only those that wait for an operator.")] = False,
         limit: Annotated[int, row_limit()] = 100,
         cursor: Cursor = None,
     ) -> Events:
         """Return the events with since <= time < until, the newest first."""
         selected, page = context.of(request), page_at(cursor, limit)
         found = selected.archive.events.find(
-            selected.camera, since=since, until=page.until(until), severity=severity, kind=kind, limit=page.rows
+            selected.camera,
+            since=since,
+            until=page.until(until),
+            severity=severity,
+            kind=kind,
+            to_acknowledge=to_acknowledge,
+            limit=page.rows,
         )
         rows, next_ = page.cut(found, request, time=lambda event: event.time)
         return Events(events=list(rows), next=next_)
@@ -119,6 +126,29 @@ def record_routes(context: ApiContext) -> APIRouter:
     def latest_image(request: Request, width: ThumbnailWidth = None, if_none_match: IfNoneMatch = None) -> Response:
         """Return the newest composite's preview, or a thumbnail of it."""
         return _image(context.of(request), if_none_match, width)
+
+    return routes
+
+
+EventId = Annotated[
+    int, Path(ge=1, le=2**63 - 1, description="Number of an event, as /v1/events has it.", examples=[17])
+]
+
+
+def acknowledgement_routes(context: ApiContext) -> APIRouter:
+    """Return the route that acknowledges an event."""
+    routes = APIRouter(tags=["record"])
+
+    @routes.post(
+        "/events/{event_id}/acknowledge",
+        dependencies=[Depends(require_write_token(context.token))],
+        responses=answers(400, 403, 404, 408, 409, 413, 415, 422),
+    )
+    def acknowledge(request: Request, event_id: EventId, decision: Acknowledgement | None = None) -> Event:
+        """Acknowledge a move or a change of lens or camera: it stays on top no longer."""
+        selected = context.of(request)
+        reason = (decision or Acknowledgement()).reason
+        return selected.archive.events.acknowledge(selected.camera, event_id, at=selected.frame_clock(), reason=reason)
 
     return routes
 
@@ -254,8 +284,14 @@ class Follower:
 
     def state(self) -> StreamMessage:
         """Return how things are now."""
-        conditions = list(self._status.conditions.values())
-        data = {"health": self._status.health, "calibration": self._calibration() or None, "conditions": conditions}
+        now = self._status
+        data = {
+            "health": now.health,
+            "state": now.state,
+            "state_text": now.state_text,
+            "calibration": self._calibration() or None,
+            "conditions": list(now.conditions.values()),
+        }
         return StreamMessage("state", data, self.position.text)
 
     def news(self) -> list[StreamMessage]:
@@ -265,7 +301,10 @@ class Follower:
         self._revision, self._behind = revision, False
         before, self._status = self._status, self._context.status()
         changed = _changes(before, self._status)
-        return [*stored, *(StreamMessage(kind, data, self.position.text) for kind, data in changed)]
+        news = [*stored, *(StreamMessage(kind, data, self.position.text) for kind, data in changed)]
+        now = self._status
+        is_other = (now.state, now.notes) != (before.state, before.notes)
+        return [*news, self.state()] if is_other else news
 
     def _stored(self) -> Iterator[StreamMessage]:
         archive, known = self._context.archive, self.position

@@ -5,7 +5,10 @@ import { $, ago, element, fixed, moment, node, telling } from "./draw.js";
 const AGAIN_MS = 10000;
 // More cameras than this are shown in small print, and on the map the names of those alone that are not ready.
 const MANY = 20;
-const SIGNS = { silent: "✕", not_ready: "✕", degraded: "!", quarantine: "!", uncalibrated: "…", ready: "✓" };
+const SIGNS = { not_serving: "✕", attention: "!", starting: "…", ready_with_note: "✓", ready: "✓" };
+const WORDS = { not_serving: "not serving", attention: "attention", starting: "starting", ready_with_note: "ready with a note", ready: "ready" };
+// States that an operator looks at.
+const NEEDS = ["not_serving", "attention"];
 const [WIDTH, HEIGHT, MARGIN] = [400, 300, 30];
 
 // What neighbours show and nobody has to correct; the other words are alarms.
@@ -41,10 +44,11 @@ function ofCamera(c, now, check) {
   const status = c.status ?? {};
   const name = node("th", c.camera);
   name.scope = "row";
-  const why = node("td", c.why.map((one) => one.text).join("; ") || "–", "why");
+  const said = c.service_state === "ready" ? [] : [c.state_text];
+  const why = node("td", [...new Set([...said, ...c.why.map((one) => one.text)])].join("; ") || "–", "why");
   why.title = why.textContent; // the row may be too short for it
   return row(
-    name, `${SIGNS[c.state]} ${c.state.replace("_", " ")}`, why, c.received_at ? ago(c.received_at, now) : "never", moment(c.last_sighting_at),
+    name, `${SIGNS[c.service_state]} ${WORDS[c.service_state]}`, why, c.received_at ? ago(c.received_at, now) : "never", moment(c.last_sighting_at),
     telling(c.sky_rms_deg, "°"), telling(status.drift_deg, "°"), status.disk_free_bytes == null ? "–" : fixed(status.disk_free_bytes / 1e9, 1, " GB"),
     telling(status.clock_error_s, " s"), mark(check), String(c.n_quarantined),
   );
@@ -58,9 +62,9 @@ function drawMap(cameras) {
   const span = Math.max(Math.max(...xs) - Math.min(...xs), (Math.max(...ys) - Math.min(...ys)) * (WIDTH / HEIGHT), 1e-3);
   const scale = (WIDTH - 2 * MARGIN) / span;
   const at = placed.map((_, i) => [MARGIN + (xs[i] - Math.min(...xs)) * scale, HEIGHT - MARGIN - (ys[i] - Math.min(...ys)) * scale]);
-  const dots = placed.map((c, i) => element("circle", { class: c.state, cx: at[i][0], cy: at[i][1], r: 5 }));
-  const names = placed.flatMap((c, i) => (placed.length <= MANY || c.state !== "ready"
-    ? [element("text", { x: at[i][0], y: at[i][1] - 8 }, `${SIGNS[c.state]} ${c.camera}`)] : []));
+  const dots = placed.map((c, i) => element("circle", { class: c.service_state, cx: at[i][0], cy: at[i][1], r: 5 }));
+  const names = placed.flatMap((c, i) => (placed.length <= MANY || NEEDS.includes(c.service_state)
+    ? [element("text", { x: at[i][0], y: at[i][1] - 8 }, `${SIGNS[c.service_state]} ${c.camera}`)] : []));
   $("map").replaceChildren(...dots, ...names);
 }
 
@@ -74,9 +78,10 @@ function beside(hubs) {
 function showAll(fleet, quarantine, crossed) {
   const checks = new Map(crossed.checks.map((check) => [check.camera, check]));
   const cameras = fleet.cameras;
-  const bad = cameras.filter((c) => c.state !== "ready").length;
+  const bad = cameras.filter((c) => NEEDS.includes(c.service_state)).length;
+  const starting = cameras.filter((c) => c.service_state === "starting").length;
   $("health").dataset.health = bad ? "degraded" : "ready";
-  $("verdict").textContent = bad ? `! ${bad} of ${fleet.cameras.length} need a look` : `✓ ${fleet.cameras.length} cameras`;
+  $("verdict").textContent = bad ? `! ${bad} of ${fleet.cameras.length} need a look` : `✓ ${fleet.cameras.length} cameras${starting ? `, ${starting} starting` : ""}`;
   $("headline").textContent = `at ${moment(fleet.time)} UTC${beside(fleet.hubs)}`;
   $("cameras").replaceChildren(...cameras.map((c) => ofCamera(c, fleet.time, checks.get(c.camera))));
   document.body.classList.toggle("many", cameras.length > MANY);

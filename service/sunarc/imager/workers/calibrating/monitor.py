@@ -29,9 +29,10 @@ from sunarc.imager.archive.archive import CameraArchive
 from sunarc.imager.archive.calibrations import EPOCH_CLOSED
 from sunarc.imager.archive.pictures_of_one_time import ELSEWHERE
 from sunarc.imager.archive.sightings import LENS_CHANGED
-from sunarc.imager.archive.values import Day, PoseEpoch, Refit, SunPoint, SunPointColumns
+from sunarc.imager.archive.values import TO_ACKNOWLEDGE, Day, PoseEpoch, Refit, SunPoint, SunPointColumns
 from sunarc.imager.runtime.loop import DropOldestQueue, turns
 from sunarc.imager.runtime.status import Reason, StatusRegistry, condition
+from sunarc.imager.workers.calibrating.moves import MOVES, MoveConditions
 from sunarc.imager.workers.calibrating.provisional_pose import (
     FEWEST,
     ProvisionalPoseEstimator,
@@ -94,6 +95,7 @@ class WatchWorker:
         self._first: deque[Sighting] = deque(maxlen=_FIRST)
         self._fault: PoseChange | None = None
         self._agreeing = 0
+        self._moves = MoveConditions(self.camera, self.board)
 
     def notice(
         self,
@@ -147,6 +149,7 @@ class WatchWorker:
             self._begin_anew_if_outdated()
         if sighting is not None:
             self._process_safely(sighting)
+        self._moves.follow()
         return sighting is not None
 
     def _begin_anew_if_outdated(self) -> None:
@@ -321,9 +324,8 @@ class WatchWorker:
         self.camera.archive.sightings.exclude(self.camera.name, finding_of(fault), since=time, until=time + MICROSECOND)
 
     def _report(self, change: PoseChange, at: datetime) -> None:
-        self.camera.add_event(
-            finding_of(change), time=at, severity="alarm", kind=change.cause, details=details_of(change)
-        )
+        details = details_of(change) | ({TO_ACKNOWLEDGE: True} if change.cause in MOVES else {})
+        self.camera.add_event(finding_of(change), time=at, severity="alarm", kind=change.cause, details=details)
         self._publish(change, at)
 
     def _publish(self, change: PoseChange, at: datetime) -> None:

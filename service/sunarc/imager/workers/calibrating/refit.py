@@ -29,7 +29,7 @@ from sunarc.calibration.verdict import accept, provisional
 from sunarc.common.array_types import IntArray
 from sunarc.common.errors import InputError, NotFoundError
 from sunarc.common.findings import Data, Finding
-from sunarc.common.utc import DAY_S, utc_time
+from sunarc.common.utc import DAY_S, rfc3339, utc_time
 from sunarc.formats.calibration_document import to_document
 from sunarc.imager.archive.archive import CameraArchive
 from sunarc.imager.archive.sightings import LENS_CHANGED
@@ -541,6 +541,10 @@ def _in_child(
 # Integrity of stored calibrations: changes by hand or by other versions are reported once.
 
 _CODES = ("no_calibration", "calibration_unreadable", "calibration_damaged")
+_COUNT_AGAIN = timedelta(minutes=1)
+"""Between two counts of the sightings of a camera without a calibration, in frame time."""
+_NOT_ACCEPTED = frozenset({"refused", "marginal", "failed"})
+_REFITS_LOOKED_AT = 10
 
 
 @dataclass(eq=False)
@@ -567,31 +571,58 @@ class CalibrationIntegrityCheck:
         """Begin without a check."""
         self._revision: int | None = None
         self._current: str | None = None
+        self._checked_at: datetime | None = None
 
     def follow(self) -> None:
-        """Check again where another calibration is current than at the last check."""
+        """Check again where another calibration is current than at the last check, and each minute without one."""
         revision = self.camera.archive.revision()
         if revision == self._revision:
             return
-        self._revision = revision
+        now = self.now()
+        is_old = self._checked_at is None or abs(now - self._checked_at) >= _COUNT_AGAIN
         current = self.camera.archive.calibrations.current(self.camera.name)
-        if (None if current is None else current.id) != self._current:
+        if (None if current is None else current.id) != self._current or (current is None and is_old):
             self.check()
+        if current is not None or is_old:
+            self._revision = revision
 
     def check(self) -> None:
         """Check, set the condition, and store an event the first time."""
         current = self.camera.archive.calibrations.current(self.camera.name)
         self._current = None if current is None else current.id
-        self.board.set_one_condition(_CODES, self._reason(current))
+        self._checked_at = self.now()
+        without = None if current is not None else self._without()
+        self.board.set_one_condition(_CODES, self._reason(current, without))
+        is_first = without is not None and "n" in without.data
+        self.board.set_condition("no_fit_accepted", self._not_accepted() if is_first else None)
         self.board.set_condition("tilt_unstated", self._unstated_tilt(current))
         if current is not None:
             self._check_sightings(current)
 
-    def _reason(self, current: CalibrationRecord | None) -> Reason | None:
+    def _without(self) -> Reason:
+        """Return the condition `no_calibration`: the first is awaited, or the last has ended."""
+        archive, name = self.camera.archive, self.camera.name
+        ended = [one for one in archive.calibrations.find(name, state="retired") if one.valid_until is not None]
+        if not ended:
+            return condition("no_calibration", n=archive.sightings.count_accepted(name))
+        last = max(ended, key=lambda one: one.valid_until or one.valid_from)
+        times = {"ended_at": last.valid_until, "created_at": last.created_at}
+        written = {key: "" if time is None else rfc3339(time, timespec="minutes") for key, time in times.items()}
+        found = Finding("calibration_ended", {"calibration": last.id, **written})
+        return Reason.of(found, code="no_calibration")
+
+    def _not_accepted(self) -> Reason | None:
+        """Return that the fits of a camera that was never calibrated were not accepted, with the last one's reason."""
+        refits = self.camera.archive.refits.find(self.camera.name, limit=_REFITS_LOOKED_AT)
+        last = next((one for one in refits if one.state in _NOT_ACCEPTED), None)
+        if last is None:
+            return None
+        remedy = next((one.remedy for one in last.findings if one.remedy != "none"), "see /v1/refits")
+        return condition("no_fit_accepted", state=last.state, message=last.message, remedy=remedy)
+
+    def _reason(self, current: CalibrationRecord | None, without: Reason | None) -> Reason | None:
         damaged = self.camera.archive.calibrations.damaged(self.camera.name)
-        reason = None
-        if current is None:
-            reason = condition("no_calibration")
+        reason = without
         if damaged is not None:
             active = "no calibration" if current is None else current.id
             reason = self._report("calibration_damaged", calibration=damaged, served=active)

@@ -1,0 +1,131 @@
+"""Conditions of a camera that was moved, refocused or replaced: until it is fitted again, then until acknowledged."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from datetime import datetime
+
+from sunarc.changes.values import LENS_KINDS
+from sunarc.common.errors import InputError, OutsideError
+from sunarc.common.findings import Finding
+from sunarc.imager.archive.archive import CameraArchive
+from sunarc.imager.archive.values import Event
+from sunarc.imager.runtime.status import Reason, StatusRegistry
+from sunarc.imager.workers.calibrating.provisional_pose import is_provisional
+
+_log = logging.getLogger(__name__)
+
+REPLACED = "camera_replaced"
+MOVES: Mapping[str, str] = {"bump": "camera_moved", **dict.fromkeys(sorted(LENS_KINDS), "lens_changed")}
+"""Conditions by the kinds of changes that begin a pose epoch."""
+CONDITIONS: Mapping[str, str] = {**MOVES, REPLACED: REPLACED}
+"""Conditions by the kinds of events that an operator has to acknowledge."""
+_FITTED = "_fitted"
+"""End of the code once a fit after the change was accepted."""
+_LENS_WORDS = {"lens": "lens changed", "refocus": "focus changed", "shift": "lens shifted against the sensor"}
+_NO_POSE, _PROVISIONAL = "no calibration since", "provisional pose since"
+_FORMER = "served by an earlier calibration"
+
+
+@dataclass(eq=False)
+class MoveConditions:
+    """Sets the conditions of the last move, the last change of the lens, and the last change of the camera.
+
+    Parameters
+    ----------
+    camera : its archive.
+    board : where they are set, as notes: the health is that of the other conditions.
+    """
+
+    camera: CameraArchive
+    board: StatusRegistry
+
+    def __post_init__(self) -> None:
+        """Begin without a look."""
+        self._revision: int | None = None
+
+    def follow(self) -> None:
+        """Set and clear the conditions again where anything was written to the archive."""
+        try:
+            revision = self.camera.archive.revision()
+            if revision != self._revision:
+                self._set(self.camera.archive.events.find(self.camera.name, severity="alarm"))
+                self._revision = revision
+        except OutsideError as error:
+            _log.warning("could not look for moves of the camera: %s", error)
+
+    def _set(self, alarms: Iterable[Event]) -> None:
+        last: dict[str, Event] = {}
+        for event in alarms:  # the newest first
+            if event.kind in CONDITIONS and not event.details.get("searched"):
+                last.setdefault(CONDITIONS[event.kind], event)
+        pose = self._pose_since(min((event.time for event in last.values()), default=None))
+        for code in set(CONDITIONS.values()):
+            event = last.get(code)
+            reason = None if event is None else self._reason(code, event, pose)
+            for one in (code, code + _FITTED):
+                shown = reason is not None and reason.code == one
+                self.board.set_condition(one, reason if shown else None, log=False)
+
+    def _reason(self, code: str, event: Event, pose: _Pose) -> Reason | None:
+        if event.time in pose.closed:
+            return None
+        if pose.fitted_from is None or pose.fitted_from < event.time:
+            return condition_of_move(code, event, since=pose.words)
+        return condition_of_move(code + _FITTED, event) if event.to_acknowledge else None
+
+    def _pose_since(self, earliest: datetime | None) -> _Pose:
+        """Return how the present pose stands; nothing is read where no move is `earliest`."""
+        if earliest is None:
+            return _Pose(None, _NO_POSE, frozenset())
+        archive, name = self.camera.archive, self.camera.name
+        epochs = archive.epochs.find(name, include_closed=True)
+        present = {epoch.id: epoch.started_at for epoch in archive.epochs.find(name)}
+        closed = frozenset(epoch.started_at for epoch in epochs if epoch.id not in present)
+        record = archive.calibrations.current(name)
+        if record is None:
+            return _Pose(None, _NO_POSE, closed)
+        try:
+            model = archive.calibrations.model(record.id)
+        except InputError:
+            return _Pose(None, _NO_POSE, closed)
+        if is_provisional(model):
+            return _Pose(None, _PROVISIONAL, closed)
+        return _Pose(present.get(record.pose_epoch or "", record.valid_from), _FORMER, closed)
+
+
+@dataclass(frozen=True, slots=True)
+class _Pose:
+    """How the present pose stands.
+
+    Attributes
+    ----------
+    fitted_from : beginning of the pose epoch of which a full fit is served; None where none is.
+    words : what answers since a move that is later.
+    closed : beginnings of the pose epochs that were closed as wrong.
+    """
+
+    fitted_from: datetime | None
+    words: str
+    closed: frozenset[datetime]
+
+
+def condition_of_move(code: str, event: Event, *, since: str = "") -> Reason:
+    """Return the condition of a move, a change of the lens or of the camera.
+
+    Parameters
+    ----------
+    code : of the condition.
+    event : what happened.
+    since : in words, what answers since then; not where a fit after it was accepted.
+    """
+    data = {
+        **{key: value for key, value in event.details.items() if type(value) in {str, int, float}},
+        "change": _LENS_WORDS.get(event.kind, event.kind),
+        "date": f"{event.time:%-d %b %Y %H:%M} UTC",
+        "since": since,
+        "event": event.id or 0,
+    }
+    return Reason.of(Finding(code, data), severity="note")
