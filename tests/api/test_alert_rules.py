@@ -87,6 +87,20 @@ CASES = [
         {gauge("sunarc_calibration_present"): f"1x{8 * DAY}"},
         minutes=8 * DAY,
     ),
+    *(
+        Case(alert, {gauge(metric): "3x50 4x10"}, {gauge(metric): "3x50 2x10"})  # a copy put back has fewer
+        for alert, metric in (
+            ("SunarcCameraMoved", "sunarc_camera_moves_total"),
+            ("SunarcLensChanged", "sunarc_camera_lens_changes_total"),
+            ("SunarcCameraReplaced", "sunarc_camera_replaced_total"),
+        )
+    ),
+    Case(
+        "SunarcToAcknowledge",
+        {gauge("sunarc_events_to_acknowledge"): f"1x{4 * DAY}"},
+        {gauge("sunarc_events_to_acknowledge"): f"0x{4 * DAY}"},
+        minutes=4 * DAY,
+    ),
     Case(
         "SunarcCalibrationDoubtful",
         {gauge("sunarc_calibration_sky_rms_degrees"): f"0.21x{2 * DAY}"},

@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import replace
 from datetime import timedelta
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, cast
@@ -70,7 +71,8 @@ def test_each_kind_is_told_as_it_happens(made: Made) -> None:
     with serving(made) as address:
         events = Imager(address).events()
         first = next(events)
-        assert (first.kind, first.data) == ("state", {"health": "ready", "calibration": "second", "conditions": []})
+        ready = {"health": "ready", "state": "ready", "state_text": "ready"}
+        assert (first.kind, first.data) == ("state", ready | {"calibration": "second", "conditions": []})
         made.board.set_condition("dusty", DUSTY)
         dusty = next(events)
         assert (dusty.kind, dusty.data["remedy"], dusty.data["since"]) == (
@@ -96,6 +98,9 @@ def test_each_kind_is_told_as_it_happens(made: Made) -> None:
         assert next(events).data == {"name": "capture", "state": "failed"}
         made.board.note(last_frame_at=NOON + timedelta(seconds=30))
         assert next(events).data == {"time": "2013-05-13T18:30:30Z"}
+        made.board.set_condition("camera_moved", replace(DUSTY, code="camera_moved", severity="note"))
+        noted = next(events)
+        assert (noted.kind, noted.data["health"], noted.data["state"]) == ("state", "ready", "attention")
 
 
 def test_who_was_cut_off_hears_what_was_missed_and_nothing_twice(made: Made) -> None:

@@ -89,7 +89,7 @@ def test_a_broker_that_is_stopped_and_started_loses_nothing(bench: Pushing, brok
     # a broker without a disk has forgotten all that it kept
     kept = retained(broker.port)
     assert (kept[STATE]["health"], kept[THERE]) == ("ready", "online")
-    assert len([topic for topic in kept if topic.startswith("homeassistant/")]) == 5
+    assert len([topic for topic in kept if topic.startswith("homeassistant/")]) == 7
     worker.sink.close(graceful=False)
     after.close()
 
@@ -296,7 +296,7 @@ def test_the_announcement_to_home_assistant_has_what_it_needs() -> None:
         assert field in fields
         ids.add(described["unique_id"])
         devices.add(tuple(described["device"]["identifiers"]))
-    assert (len(ids), len(devices)) == (5, 1)
+    assert (len(ids), len(devices)) == (7, 1)
 
 
 def test_a_worker_runs_and_stops(bench: Pushing, broker: Mosquitto) -> None:

@@ -103,7 +103,8 @@ def _service_state(camera: FleetCamera, found: list[tuple[State, FleetReason]]) 
     """Return the state of a camera, as its imager reports it or by its conditions, with what the hub found."""
     status: Mapping[str, Any] = camera.status or {}
     own, listed = status.get("state"), status.get("conditions")
-    reported = set(map(str, listed)) if own in get_args(ServiceState) and isinstance(listed, list) else set()
+    reported_state = next((word for word in get_args(ServiceState) if word == own), None)
+    reported = set(map(str, listed)) if reported_state is not None and isinstance(listed, list) else set()
     state, text = state_and_text(
         Reason(
             code=reason.code,
@@ -114,8 +115,8 @@ def _service_state(camera: FleetCamera, found: list[tuple[State, FleetReason]]) 
         for kind, reason in found
         if reason.code not in reported
     )
-    if own in get_args(ServiceState) and worst((own, state)) == own:
-        return own, str(status.get("state_text") or own)
+    if reported_state is not None and worst((reported_state, state)) == reported_state:
+        return reported_state, str(status.get("state_text") or own)
     return state, text
 
 

@@ -21,6 +21,7 @@ from sunarc.imager.archive.archive import Archive, CameraArchive
 from sunarc.imager.archive.database.recovery import Recovery
 from sunarc.imager.archive.database.store import Reserve
 from sunarc.imager.archive.images import ImageStore
+from sunarc.imager.archive.move_pictures import MovePictures
 from sunarc.imager.archive.pictures_of_one_time import ELSEWHERE
 from sunarc.imager.archive.values import Refit
 from sunarc.imager.cameras.frame import Frame, SkyCamera
@@ -170,6 +171,7 @@ class Service:
         self.clock_watch = self._new_clock_watch()
         self.predictor = SunPredictor(self.camera)
         self.images = ImageStore(settings.images, options=settings.disk)
+        self.move_pictures = MovePictures(settings.moves)
         self.reserve = Reserve(settings.reserve, size_bytes=int(settings.disk.reserve_mb * 1e6))
         restore_last_known(
             self.board,
@@ -542,6 +544,8 @@ class Service:
             now=self.frame_time.now,
             board=self.board,
             host_dates=settings.source != "folder",
+            pictures=self.move_pictures,
+            newest_picture=self.latest_image,
         )
 
     def feed_worker(self) -> FeedWorker:

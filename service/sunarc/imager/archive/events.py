@@ -145,6 +145,12 @@ class EventStore(Part):
         alarms = self._database.values(statement.where(c.severity == "alarm"), Event)
         return tuple(event for event in alarms if event.to_acknowledge)[:limit]
 
+    def count_alarms(self, camera: str) -> Mapping[str, int]:
+        """Return how many alarms of each kind a camera had."""
+        c = tables.event.c
+        counts = select(c.kind, func.count()).where(c.camera == camera, c.severity == "alarm")
+        return self._database.counts(counts, c.kind)
+
     def get(self, camera: str, event_id: int) -> Event:
         """Return an event of a camera by its number; NotFoundError where it is no event of this camera."""
         with self._database.reading() as connection:

@@ -314,6 +314,11 @@ def replacing(target: Path) -> Iterator[BinaryIO]:
         raise
 
 
+def time_in_name(path: Path) -> datetime | None:
+    """Return when an image was captured by its name; None for a file that is not named as ours are."""
+    return _captured_at(path) if _OURS.fullmatch(path.name) else None
+
+
 def _captured_at(path: Path) -> datetime:
     return datetime.strptime(path.name[:19], f"{_STAMP}.%f").replace(tzinfo=UTC)
 

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, Self, TypeVar, get_args
 import numpy as np
 from pydantic import Field, computed_field
 
-from sunarc.changes.values import ChangeKind
+from sunarc.changes.values import LENS_KINDS, ChangeKind
 from sunarc.common.array_types import BoolArray, FloatArray, IntArray, NameArray
 from sunarc.common.errors import InputError
 from sunarc.common.findings import Finding, joined
@@ -456,6 +456,12 @@ class Event(Returned):
         return [Finding(code_of_event(self.kind, self.details), plain).as_json()]
 
 
+CAMERA_CHANGES: Mapping[str, str] = {
+    "bump": "camera_moved",
+    **dict.fromkeys(sorted(LENS_KINDS), "lens_changed"),
+    "camera_replaced": "camera_replaced",
+}
+"""Kinds of alarms that an operator has to acknowledge, with the conditions that they set."""
 TO_ACKNOWLEDGE = "to_acknowledge"
 """Detail of an event that an operator has to acknowledge."""
 ACKNOWLEDGED_AT, ACKNOWLEDGED_BECAUSE = "acknowledged_at", "acknowledged_because"

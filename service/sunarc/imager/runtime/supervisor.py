@@ -15,7 +15,8 @@ from sunarc.common.bounds import Positive, require_bounds
 from sunarc.common.errors import OutsideError
 from sunarc.imager.runtime.clock import Clock
 from sunarc.imager.runtime.loop import Pauses
-from sunarc.imager.runtime.status import Severity, StatusRegistry, WorkerState, WorkerStatus, condition_of, worker_code
+from sunarc.imager.runtime.states import Severity
+from sunarc.imager.runtime.status import StatusRegistry, WorkerState, WorkerStatus, condition_of, worker_code
 
 _STUCK, _OPTIONAL_STUCK = "worker_stuck", "optional_worker_stuck"
 

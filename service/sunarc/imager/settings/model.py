@@ -151,6 +151,11 @@ class Settings(_WithStore):
         return self.state / "snapshots"
 
     @property
+    def moves(self) -> Path:
+        """The folder of the pictures before and after moves of the camera."""
+        return self.state / "moves"
+
+    @property
     def images(self) -> Path:
         """The root of the dated image folders."""
         return self.state / "images"

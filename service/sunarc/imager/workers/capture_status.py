@@ -12,7 +12,8 @@ import numpy as np
 from sunarc.common.errors import CameraError, CameraTimeoutError, ConfigurationError, ExposureMismatchError, InputError
 from sunarc.imager.cameras.frame import CameraCondition, CameraInfo, Frame
 from sunarc.imager.runtime.clock import Clock
-from sunarc.imager.runtime.status import CameraStatus, CaptureStatus, Severity, StatusRegistry, condition
+from sunarc.imager.runtime.states import Severity
+from sunarc.imager.runtime.status import CameraStatus, CaptureStatus, StatusRegistry, condition
 from sunarc.imager.workers.clock_watch import FrameTime
 from sunarc.imaging.brightness import is_dark
 from sunarc.sky.sun import DARK_ZENITH_DEG

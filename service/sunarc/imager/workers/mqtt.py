@@ -255,7 +255,7 @@ _ENTITIES: tuple[tuple[str, str, Mapping[str, str]], ...] = (
     (
         "sensor",
         "state",
-        {"name": "State", "value_template": "{{ value_json.state | replace('_', ' ') }}", "icon": "mdi:telescope"},
+        {"name": "State", "value_template": "{{ value_json.state }}", "icon": "mdi:telescope"},
     ),
     (
         "sensor",

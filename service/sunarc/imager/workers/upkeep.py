@@ -17,7 +17,8 @@ from sunarc.imager.archive.images import DiskOptions, DiskUsage, ImageStore
 from sunarc.imager.archive.values import Event, Housekeeping, merged
 from sunarc.imager.runtime.clock import Clock
 from sunarc.imager.runtime.loop import Attempts, Loop, Pauses
-from sunarc.imager.runtime.status import DiskStatus, Reason, Severity, StatusRegistry, condition
+from sunarc.imager.runtime.states import Severity
+from sunarc.imager.runtime.status import DiskStatus, Reason, StatusRegistry, condition
 
 _log = logging.getLogger(__name__)
 _DISK_EVERY_S = 5.0

@@ -17,7 +17,7 @@ from prometheus_client.registry import Collector
 from starlette.types import Message, Receive, Scope, Send
 
 from sunarc.imager.archive.archive import Archive
-from sunarc.imager.archive.values import Day, DayVerdict, Night, RefitState
+from sunarc.imager.archive.values import CAMERA_CHANGES, Day, DayVerdict, Night, RefitState
 from sunarc.imager.runtime.json_fields import descriptions
 from sunarc.imager.runtime.status import (
     CameraStatus,
@@ -191,6 +191,12 @@ def labelled(name: str, text: str, labels: tuple[str, ...], values: Labelled) ->
 # The numbers for Prometheus that the store has: they are the same after a restart.
 
 _A_DAY = timedelta(days=1)
+_CHANGES = {
+    "moves": ("camera_moved", "How often the camera was found moved, a count."),
+    "lens_changes": ("lens_changed", "How often the lens was found changed, refocused or shifted, a count."),
+    "replaced": ("camera_replaced", "How often a camera with another serial number answered, a count."),
+}
+"""Counters of changes of the camera: the condition of the alarms that are counted, and a description."""
 
 
 def record_metrics(archive: Archive, camera: str, *, now: datetime) -> Iterator[Metric]:
@@ -208,6 +214,13 @@ def record_metrics(archive: Archive, camera: str, *, now: datetime) -> Iterator[
     yield _counted("sunarc_days", "Days that were judged, by verdict.", "verdict", days)
     refits = dict.fromkeys(get_args(RefitState), 0) | dict(archive.refits.count(camera))
     yield _counted("sunarc_refits", "Refits by state.", "state", refits)
+    alarms = archive.events.count_alarms(camera)
+    for name, (condition, text) in _CHANGES.items():
+        counter = CounterMetricFamily(f"sunarc_camera_{name}", text)
+        counter.add_metric((), sum(n for kind, n in alarms.items() if CAMERA_CHANGES.get(kind) == condition))
+        yield counter
+    waiting = archive.events.find(camera, to_acknowledge=True)
+    yield _single("sunarc_events_to_acknowledge", "Events that wait for an operator.", float(len(waiting)))
     yield from _of_last_day(next(iter(archive.days.find(camera, limit=1)), None))
     yield from _of_last_night(next(iter(archive.nights.find(camera, limit=1)), None))
 

@@ -302,9 +302,7 @@ class Follower:
         before, self._status = self._status, self._context.status()
         changed = _changes(before, self._status)
         news = [*stored, *(StreamMessage(kind, data, self.position.text) for kind, data in changed)]
-        now = self._status
-        is_other = (now.state, now.notes) != (before.state, before.notes)
-        return [*news, self.state()] if is_other else news
+        return news if self._status.notes == before.notes else [*news, self.state()]
 
     def _stored(self) -> Iterator[StreamMessage]:
         archive, known = self._context.archive, self.position

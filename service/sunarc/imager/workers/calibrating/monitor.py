@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable, Container
 from dataclasses import KW_ONLY, asdict, dataclass, field, replace
 from datetime import date, datetime, timedelta
+from pathlib import Path
 
 import numpy as np
 
@@ -27,12 +28,21 @@ from sunarc.common.findings import Finding
 from sunarc.common.utc import MICROSECOND, utc_time
 from sunarc.imager.archive.archive import CameraArchive
 from sunarc.imager.archive.calibrations import EPOCH_CLOSED
+from sunarc.imager.archive.move_pictures import MovePictures
 from sunarc.imager.archive.pictures_of_one_time import ELSEWHERE
 from sunarc.imager.archive.sightings import LENS_CHANGED
-from sunarc.imager.archive.values import TO_ACKNOWLEDGE, Day, PoseEpoch, Refit, SunPoint, SunPointColumns
+from sunarc.imager.archive.values import (
+    CAMERA_CHANGES,
+    TO_ACKNOWLEDGE,
+    Day,
+    PoseEpoch,
+    Refit,
+    SunPoint,
+    SunPointColumns,
+)
 from sunarc.imager.runtime.loop import DropOldestQueue, turns
 from sunarc.imager.runtime.status import Reason, StatusRegistry, condition
-from sunarc.imager.workers.calibrating.moves import MOVES, MoveConditions
+from sunarc.imager.workers.calibrating.moves import MoveConditions
 from sunarc.imager.workers.calibrating.provisional_pose import (
     FEWEST,
     ProvisionalPoseEstimator,
@@ -74,6 +84,8 @@ class WatchWorker:
     now : frame time; sightings and pose epochs dated later are not used.
     board : where a change degrades the service.
     host_dates : whether the sightings' times are of the host's clock, whose steps are known.
+    pictures : keeps those before and after a move; None keeps none.
+    newest_picture : returns the newest picture's file, None without one.
     """
 
     camera: CameraArchive
@@ -83,6 +95,8 @@ class WatchWorker:
     now: Callable[[], datetime]
     board: StatusRegistry
     host_dates: bool = True
+    pictures: MovePictures | None = None
+    newest_picture: Callable[[], Path | None] = lambda: None
 
     def __post_init__(self) -> None:
         """Begin with an empty window."""
@@ -150,7 +164,25 @@ class WatchWorker:
         if sighting is not None:
             self._process_safely(sighting)
         self._moves.follow()
+        if sighting is not None and self.pictures is not None:
+            self._keep_pictures(self.pictures, utc_time(sighting.unix_s))
         return sighting is not None
+
+    def _keep_pictures(self, pictures: MovePictures, at: datetime) -> None:
+        """Copy the newest picture now and then, and keep those before and after the moves that wait."""
+        incomplete = [event for event in self._moves.waiting if not pictures.is_complete(event)]
+        try:
+            if not incomplete and not pictures.is_due(at):
+                return
+            newest = self.newest_picture()
+            if newest is None:
+                return
+            for event in incomplete:
+                pictures.keep(event, newest, sighted_at=at)
+            if pictures.is_due(at):
+                pictures.remember(newest, sighted_at=at)
+        except (OSError, OutsideError) as error:
+            _log.warning("could not keep a picture: %s", error)
 
     def _begin_anew_if_outdated(self) -> None:
         try:
@@ -324,7 +356,7 @@ class WatchWorker:
         self.camera.archive.sightings.exclude(self.camera.name, finding_of(fault), since=time, until=time + MICROSECOND)
 
     def _report(self, change: PoseChange, at: datetime) -> None:
-        details = details_of(change) | ({TO_ACKNOWLEDGE: True} if change.cause in MOVES else {})
+        details = details_of(change) | ({TO_ACKNOWLEDGE: True} if change.cause in CAMERA_CHANGES else {})
         self.camera.add_event(finding_of(change), time=at, severity="alarm", kind=change.cause, details=details)
         self._publish(change, at)
 

@@ -3,25 +3,19 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import datetime
 
-from sunarc.changes.values import LENS_KINDS
 from sunarc.common.errors import InputError, OutsideError
 from sunarc.common.findings import Finding
 from sunarc.imager.archive.archive import CameraArchive
-from sunarc.imager.archive.values import Event
+from sunarc.imager.archive.values import CAMERA_CHANGES, Event
 from sunarc.imager.runtime.status import Reason, StatusRegistry
 from sunarc.imager.workers.calibrating.provisional_pose import is_provisional
 
 _log = logging.getLogger(__name__)
 
-REPLACED = "camera_replaced"
-MOVES: Mapping[str, str] = {"bump": "camera_moved", **dict.fromkeys(sorted(LENS_KINDS), "lens_changed")}
-"""Conditions by the kinds of changes that begin a pose epoch."""
-CONDITIONS: Mapping[str, str] = {**MOVES, REPLACED: REPLACED}
-"""Conditions by the kinds of events that an operator has to acknowledge."""
 _FITTED = "_fitted"
 """End of the code once a fit after the change was accepted."""
 _LENS_WORDS = {"lens": "lens changed", "refocus": "focus changed", "shift": "lens shifted against the sensor"}
@@ -37,6 +31,10 @@ class MoveConditions:
     ----------
     camera : its archive.
     board : where they are set, as notes: the health is that of the other conditions.
+
+    Attributes
+    ----------
+    waiting : the events that an operator has to acknowledge, the newest first.
     """
 
     camera: CameraArchive
@@ -45,6 +43,7 @@ class MoveConditions:
     def __post_init__(self) -> None:
         """Begin without a look."""
         self._revision: int | None = None
+        self.waiting: tuple[Event, ...] = ()
 
     def follow(self) -> None:
         """Set and clear the conditions again where anything was written to the archive."""
@@ -58,13 +57,14 @@ class MoveConditions:
 
     def _set(self, alarms: Iterable[Event]) -> None:
         last: dict[str, Event] = {}
+        alarms = tuple(alarms)
+        self.waiting = tuple(event for event in alarms if event.to_acknowledge)
         for event in alarms:  # the newest first
-            if event.kind in CONDITIONS and not event.details.get("searched"):
-                last.setdefault(CONDITIONS[event.kind], event)
+            if event.kind in CAMERA_CHANGES:
+                last.setdefault(CAMERA_CHANGES[event.kind], event)
         pose = self._pose_since(min((event.time for event in last.values()), default=None))
-        for code in set(CONDITIONS.values()):
-            event = last.get(code)
-            reason = None if event is None else self._reason(code, event, pose)
+        for code in set(CAMERA_CHANGES.values()):
+            reason = self._reason(code, last[code], pose) if code in last else None
             for one in (code, code + _FITTED):
                 shown = reason is not None and reason.code == one
                 self.board.set_condition(one, reason if shown else None, log=False)
