@@ -119,7 +119,7 @@ class LensToWrite(NamedTuple):
     spread: UnitSpread | None
 
     def write(self, documents: list[dict[str, Any]]) -> None:
-        """Write what accepted calibrations say of their type of lens."""
+        """Write the combined lens of accepted calibrations."""
         if self.path is None or not all(document["verdict"]["accepted"] for document in documents):
             return
         lens = combined_lens(documents, self.others, spread=self.spread)
@@ -141,7 +141,7 @@ def parse_spread(text: str | None) -> UnitSpread | None:
 
 
 def print_joint(spec: Path, folder: Path | None, *, as_json: bool) -> None:
-    """Fit what a file asks for, and print one row an entry; exit 1 where one is refused."""
+    """Fit the entries of a file, and print one row an entry; exit 1 where one is refused."""
     if folder is None:
         raise InputError(field="--output", problem="missing beside --joint", remedy="name a folder")
     documents = calibrate_joint(spec, folder=folder, now=SystemClock().now())

@@ -18,7 +18,7 @@ with the worker's name (`worker_stuck_capture`). This page is the output of `sun
 
 
 class Code(NamedTuple):
-    """A code, the package (`room`) that makes it, its sentence, what it means, and what to do."""
+    """A code, the package (`room`) that makes it, its sentence, its meaning, and the remedy."""
 
     code: str
     room: str

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 
 class Command(NamedTuple):
-    """Where a command, or a group of commands, is: its module and its name there; what `--help` says, unless hidden."""
+    """Where a command, or a group of commands, is: its module and its name there; its `--help` text, unless hidden."""
 
     module: str
     name: str

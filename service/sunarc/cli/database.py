@@ -41,7 +41,7 @@ def import_points(
         str | None, typer.Option(help="W,H in px, for a camera that the archive does not know yet.")
     ] = None,
 ) -> None:
-    """Add sightings from a CSV file to the archive; what it has already is skipped.
+    """Add sightings from a CSV file to the archive; those that it already has are skipped.
 
     A new state folder gets a database, and the camera is stored with the settings' site.
 
@@ -191,7 +191,7 @@ def _place(state: Path | None, store: str | None) -> Path | URL:
 
 
 def _existing(state: Path) -> Path:
-    """Return the database of a state folder; an error where there is none."""
+    """Return the database of a state folder; an error where it is missing."""
     require_file(database_of(state), command=f"sunarc db upgrade --state {state}")
     return database_of(state)
 
@@ -206,7 +206,7 @@ def _locked(state: Path) -> Iterator[None]:
 
 
 def note_running_service(state: Path) -> None:
-    """Say on standard error that a service uses what was written into its state folder."""
+    """Say on standard error that a service uses the rows written into its state folder."""
     holder = lock_holder(state)
     if holder is not None:
         print(

@@ -57,7 +57,7 @@ def revoke(camera: Camera, config: Config = None) -> None:
 
 @hub_cli.command()
 def accept(camera: Camera, installation: Installation, config: Config = None) -> None:
-    """Take what another installation sends under a camera's name, and no more what the former one sends.
+    """Take the rows that another installation sends under a camera's name, and no more those of the former one.
 
     Example: sunarc hub accept roof 5f1d0c --config /etc/sunarc/hub.toml
     """
@@ -68,7 +68,7 @@ def accept(camera: Camera, installation: Installation, config: Config = None) ->
 
 @hub_cli.command()
 def resend(camera: Camera, config: Config = None) -> None:
-    """Have an imager send all its rows again, and clear what is in quarantine of its camera.
+    """Have an imager send all its rows again, and clear the quarantine of its camera.
 
     Example: sunarc hub resend roof --config /etc/sunarc/hub.toml
     """
@@ -79,7 +79,7 @@ def resend(camera: Camera, config: Config = None) -> None:
 
 @hub_cli.command()
 def quarantine(config: Config = None, *, as_json: AsJson = False) -> None:
-    """Print what imagers sent and the hub refused or set apart, the newest first; exit 1 when there is something.
+    """Print the rows that the hub refused or set apart, the newest first; exit 1 when there are some.
 
     Example: sunarc hub quarantine --config /etc/sunarc/hub.toml
     """
@@ -104,7 +104,7 @@ def schema() -> None:
 
 @hub_cli.command("cross-checks")
 def cross_checks(config: Config = None, *, as_json: AsJson = False) -> None:
-    """Print what neighbouring cameras show of one another's clock, longitude and north; exit 1 when something is wrong.
+    """Print the clock, longitude and north of each camera by its neighbours; exit 1 when something is wrong.
 
     A camera that turns slowly, as a mast that settles does, is named, and is not wrong. Reads the last 60 days: some
     seconds a camera.

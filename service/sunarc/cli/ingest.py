@@ -107,7 +107,7 @@ def ingest(
 
 
 def _next_command(summary: IngestSummary, config: Path | None) -> str:
-    """Return what to type next."""
+    """Return the command to type next."""
     if not any(summary.by_verdict.values()):
         return "next: check the reasons above (the times of the files: --time-pattern, --utc-offset)"
     named = "" if config is None else f" --config {config}"

@@ -1,4 +1,4 @@
-"""The command `sunarc init`: asks for what cannot be known, tries the rest, writes the settings file."""
+"""The command `sunarc init`: asks for the site and the source, tries the rest, writes the settings file."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _TRIES = 5
 
 
 class _SettingQuestion(NamedTuple):
-    """A question: its setting and option, its text, what reads the answer, and what holds where nobody answers."""
+    """A question: its setting and option, its text, the reader of the answer, and the value where nobody answers."""
 
     setting: str
     option: str
@@ -111,7 +111,7 @@ _PATTERN = _SettingQuestion(
     "folder.time_pattern", "--time-pattern", "Pattern of the names without suffix, as %Y%m%d_%H%M%S", _pattern
 )
 _ASKED_BY_FAULT = {"file_time_zone": _OFFSET, "file_time_unknown": _PATTERN, "file_time_ambiguous": _PATTERN}
-"""What a picture's time needs to be read."""
+"""Questions that answer a fault in a picture's time."""
 
 
 def init(
@@ -147,7 +147,7 @@ def init(
     ),
     as_json: AsJson = False,
 ) -> None:
-    """Ask for what cannot be known, try the rest, and write a settings file; exit 1 where a trial fails.
+    """Ask for the site and the source, try the rest, and write a settings file; exit 1 where a trial fails.
 
     Called again it changes what is given and keeps the rest of the file, comments too. Without a terminal nothing is
     asked: what is missing is named, and nothing written.
@@ -198,7 +198,7 @@ def init(
 
 
 def _source_of(camera: list[str] | None, folder: Path | None, url: str | None) -> str | None:
-    """Return the source that the other options mean; None where there are none, or several."""
+    """Return the source that the other options mean; None without one, or with several."""
     asked = "rtsp" if url is not None and url.lower().startswith("rtsp") else "http"
     given = {"aravis": camera, "folder": folder, asked: url}
     meant = [source for source, value in given.items() if value]
@@ -227,7 +227,7 @@ class _Answers:
         return value_in(self.text, setting)
 
     def set(self, values: Mapping[str, Value | None]) -> None:
-        """Set what is not None."""
+        """Set the values that are not None."""
         for setting, value in values.items():
             if value is not None and value != self.value(setting):
                 self.text = with_values(self.text, {setting: value})
@@ -257,7 +257,7 @@ class _Answers:
 
 
 def _tried(answers: _Answers, file: Path, *, addresses: list[str], picture: Path) -> list[TriedResult]:
-    """Return what came of the trials; where a picture's time needs one more answer, that is asked, and tried again."""
+    """Return the outcome of the trials; where a picture's time needs one more answer, ask for it, and try again."""
     while True:
         settings = settings_of(answers.text, where=str(file))
         results = list(try_first(settings, addresses=addresses, picture=picture))

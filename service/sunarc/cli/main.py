@@ -28,7 +28,7 @@ _LIBRARY = "library"
 
 @cache
 def houses() -> dict[str, dict[str, Command]]:
-    """Return the commands of the library, and of each house by the extra that brings what they need.
+    """Return the commands of the library, and of each house by the extra that brings its dependencies.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Options that several commands share, and what they print: JSON, tables, progress bars."""
+"""Options that several commands share, and their output: JSON, tables, progress bars."""
 
 from __future__ import annotations
 
@@ -183,7 +183,7 @@ def table(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
 
 
 def print_rows(value: Any, columns: Sequence[str], rows: Iterable[Sequence[Any]], *, as_json: bool) -> None:  # noqa: ANN401 - whatever JSON holds
-    """Print a value as JSON, or what a table shows of it."""
+    """Print a value as JSON, or the table of it."""
     if as_json:
         print_json(value)
     else:

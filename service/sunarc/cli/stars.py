@@ -152,7 +152,7 @@ def stars(
 def _site(
     calibration: Path | None, latitude: float | None, longitude: float | None, altitude: float, *, blind: bool
 ) -> Site:
-    """Return the site of a blind start; InputError where it, or what takes its place, is not given."""
+    """Return the site of a blind start; InputError where neither it nor a substitute is given."""
     if not blind:
         raise InputError(field="--calibration", problem="is missing", remedy="give one, or --blind and the site")
     if calibration is not None:

@@ -46,7 +46,7 @@ Methods = Annotated[str, typer.Option("--method", help="paper, robust or both.")
 Seed = Annotated[int, typer.Option(help="Of everything that is drawn.", min=0)]
 
 Sheet = dict[str, str]
-"""Columns of a printed table: what stands above, and what a row calls it."""
+"""Columns of a printed table: the heading, and the key in a row."""
 
 _ERRORS: Sheet = {
     "case": "case", "source": "source", "n": "n", "RMSE": "rmse_px", "MAE": "mae_px", "SD": "sd_of_distance_px",
@@ -219,7 +219,7 @@ def score_entries(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Score entries against the truth; a wrong entry is scored as what it is, with a finding.
+    """Score entries against the truth; a wrong entry is scored as it stands, with a finding.
 
     Example: sunarc study benchmark score round/cases entries/sunarc --truth round/truth
     """

@@ -14,7 +14,7 @@ FloatArray = NDArray[np.float64]
 
 
 class BackProjection(NamedTuple):
-    """What pixels look at; NaN outside the camera's field.
+    """Directions of pixels; NaN outside the camera's field.
 
     zenith_deg, azimuth_deg : (...) degrees, azimuth clockwise from north.
     direction : (..., 3) unit vectors, east-north-up.
@@ -66,7 +66,7 @@ class Located(NamedTuple):
 
 
 class Finding(NamedTuple):
-    """What was found: a code of docs/codes.md, its numbers and names, and the sentence, which is for people only."""
+    """A finding: a code of docs/codes.md, its numbers and names, and the sentence, which is for people only."""
 
     code: str
     data: dict[str, Any]

@@ -41,7 +41,7 @@ _MIXTURE_ROUNDS = 60
 _STEP = 1e-6
 """Of a difference quotient: radians on the sphere, or shares of a parameter's sigma times 100."""
 _MANY = 4096
-"""Points of one call from which on their uncertainty is interpolated: about a quarter of what a table costs."""
+"""Points of one call from which on their uncertainty is interpolated: about a quarter of the cost of a table."""
 _RINGS, _SPOKES = 96, 192
 """Nodes of that table, in angle from the optical axis and around it."""
 _EDGE = 1e-4
@@ -102,7 +102,7 @@ class CameraModel:
         )
 
     def back_project(self, pixels: ArrayLike) -> BackProjection:
-        """Return what pixels (..., 2) look at; NaN outside the camera's field."""
+        """Return the directions of pixels (..., 2); NaN outside the camera's field."""
         given = np.asarray(pixels, dtype=np.float64)
         flat, shape = given.reshape(-1, 2), given.shape[:-1]
         with np.errstate(invalid="ignore"):
@@ -264,7 +264,7 @@ class CameraModel:
 
 
 class _Field:
-    """What displaces the image beside the lens, and what is not known of it: sine waves on a box."""
+    """Displacement of the image with respect to the lens, and its uncertainty: sine waves on a box."""
 
     def __init__(self, document: Mapping[str, Any], *, parameters: int) -> None:
         self._amplitude = float(document["amplitude_px"])
@@ -290,11 +290,11 @@ class _Field:
         return np.where(inside, waves, 0.0)
 
     def mean(self, pixels: FloatArray) -> FloatArray | float:
-        """Return by how much what the lens puts at pixels (n, 2) is displaced, (n, 2) px."""
+        """Return the displacement of pixels (n, 2) of the lens alone, (n, 2) px."""
         return self._waves(pixels) @ self._mean.T if np.any(self._mean) else 0.0
 
     def covariance(self, rows: FloatArray, pixels: FloatArray) -> FloatArray | float:
-        """Return (n, 2, 2) px² beside that of the parameters, with the pixel's derivatives (n, 2, p) by them."""
+        """Return (n, 2, 2) px² in addition to the parameters' one, with the pixel's derivatives (n, 2, p) by them."""
         if self._amplitude == 0.0:
             return 0.0
         waves = self._waves(pixels)

@@ -1,4 +1,4 @@
-"""What can be asked of a hub: its fleet, and each of its cameras as an imager."""
+"""Requests to a hub: its fleet, and each of its cameras as an imager."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Hub(Requests):
         self._connection = {"address": address, "token": token, "timeout_s": timeout_s, "retries": retries}
 
     def imager(self, camera: str) -> Imager:
-        """Return one of its cameras; what changes something is refused by a hub."""
+        """Return one of its cameras; a hub refuses requests that change something."""
         return Imager(**self._connection, camera=camera)  # type: ignore[arg-type]
 
     def fleet(self) -> dict[str, Any]:
@@ -34,11 +34,11 @@ class Hub(Requests):
         return self._json("/fleet")
 
     def cross_checks(self, camera: str | None = None) -> dict[str, Any]:
-        """Return what neighbours showed last night of each camera's clock, longitude and north, alarms first."""
+        """Return the clock, longitude and north of each camera by its neighbours of last night, alarms first."""
         return self._json("/cross-checks", camera=camera)
 
     def quarantine(self, camera: str | None = None, *, limit: int | None = None) -> dict[str, Any]:
-        """Return what was refused or set apart, the newest first."""
+        """Return the rows that were refused or set apart, the newest first."""
         return self._json("/quarantine", camera=camera, limit=_count(limit))
 
     def nights(self, *, limit: int | None = None) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""What can be asked of an imager: every route of its service."""
+"""Requests to an imager: every route of its service."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Imager(Requests):
     """
 
     def back_project(self, pixels: ArrayLike, *, at: datetime | None = None) -> BackProjection:
-        """Return what pixels (..., 2) look at."""
+        """Return the directions of pixels (..., 2)."""
         rows, calibration, shape = self._rows("/back-project", pixels, 2, at)
         zenith, azimuth, east, north, up, sigma, inside = np.moveaxis(rows, -1, 0)
         direction = np.stack([east, north, up], axis=-1).reshape(*shape, 3)
@@ -170,7 +170,7 @@ class Imager(Requests):
         return self._content("/calibration", format=form, at=_time(at), calibration=self._chosen)
 
     def map(self, *, at: datetime | None = None, sun_radius_deg: float | None = None) -> dict[str, NDArray[Any]]:
-        """Return what every pixel sees: zenith, azimuth, direction, sigma and others, by name, (height, width, ...)."""
+        """Return the map of directions by name: zenith, azimuth, direction, sigma and others, (height, width, ...)."""
         radius = _number(sun_radius_deg)
         return self._arrays("/back-projection-map", at=_time(at), sun_radius_deg=radius, calibration=self._chosen)
 
@@ -299,7 +299,7 @@ class Imager(Requests):
             return conditions_of(status)
 
     def events(self, *, after: str | None = None, silent_s: float = 60.0) -> Iterator[ImagerEvent]:
-        """Yield what happens, for as long as it is iterated over; first a "state" that says how things are.
+        """Yield events for as long as it is iterated over; first a "state" with the present state.
 
         A connection that ends, or on which nothing came for `silent_s` (the service gives a sign every 15 s), is made
         again, and goes on where it ended; ImagerError where that fails as often as `retries` says.
@@ -333,7 +333,7 @@ class Imager(Requests):
             return tuple(Finding(finding["code"], finding["data"], text) for finding, text in pairs)
 
     def sightings_by_day(self, *, since: date | None = None, until: date | None = None) -> list[dict[str, Any]]:
-        """Return how many looks at the sun had which verdict on each solar day, the newest first; 366 days at most."""
+        """Return the counts of sightings by verdict of each solar day, the newest first; 366 days at most."""
         return self._listed("/sun-points/days", "days", since=_day(since), until=_day(until))
 
     def days(self, *, since: date | None = None, until: date | None = None) -> Iterator[dict[str, Any]]:

@@ -54,7 +54,7 @@ class LocalImager:
         return self._model
 
     def back_project(self, pixels: ArrayLike) -> BackProjection:
-        """Return what pixels (..., 2) look at."""
+        """Return the directions of pixels (..., 2)."""
         return self.model.back_project(pixels)
 
     def project(self, direction: ArrayLike) -> Projection:

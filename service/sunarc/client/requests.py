@@ -1,4 +1,4 @@
-"""Requests to an imager, and what is read from the answers."""
+"""Requests to an imager, and the readers of the answers."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _NPY = "application/x-npy"
 
 
 class Requests:
-    """What the questions of `Imager`, which describes the parameters, have in common."""
+    """Common part of the requests of `Imager`, which describes the parameters."""
 
     def __init__(
         self,

@@ -20,7 +20,7 @@ _LONGEST_WAIT_S = 10.0
 
 
 class ImagerError(Exception):
-    """The service did not answer what was asked.
+    """Error of the service in place of an answer.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class Transport:
         media_type: str | None = None,
         again: bool = True,
     ) -> tuple[bytes, Mapping[str, str]]:
-        """Return the content and the headers of an answer; ImagerError where it is a refusal, or there is none.
+        """Return the content and the headers of an answer; ImagerError where it is a refusal, or is missing.
 
         `again` says whether a request that failed for the moment is repeated.
         """
@@ -80,7 +80,7 @@ class Transport:
     def ask_if_changed(
         self, path: str, query: Mapping[str, str | None], *, tag: str | None
     ) -> tuple[bytes, Mapping[str, str]] | None:
-        """Return what `ask` returns; None where the answer still has an ETag."""
+        """Return the content as `ask` does; None where the answer still has an ETag."""
         headers = {} if tag is None else {"If-None-Match": tag}
         try:
             return self._repeated(self._request(path, query, headers), again=False)

@@ -16,10 +16,10 @@ from .imager import Imager
 
 
 class Projecting(Protocol):
-    """What takes pixels to directions and back: `Imager`, `LocalImager` or `CameraModel`."""
+    """Object that takes pixels to directions and back: `Imager`, `LocalImager` or `CameraModel`."""
 
     def back_project(self, pixels: ArrayLike, /) -> BackProjection:
-        """Return what pixels (..., 2) look at."""
+        """Return the directions of pixels (..., 2)."""
 
     def project(self, direction: ArrayLike, /) -> Projection:
         """Return where vectors (..., 3) land."""
@@ -27,7 +27,7 @@ class Projecting(Protocol):
 
 @xr.register_dataarray_accessor("sunarc")
 class SunarcAccessor:
-    """What an image shows of the sky.
+    """Directions and positions of the sky in an image.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ class SunarcAccessor:
         return self._image.assign_coords(columns).assign_attrs(calibration=seen.calibration)
 
     def with_positions(self, imager: Imager, *, height_m: float) -> xr.DataArray:
-        """Return the image with latitude, longitude and sigma_m (y, x) of clouds at a height; NaN where there is none.
+        """Return the image with latitude, longitude and sigma_m (y, x) of clouds at a height; NaN elsewhere.
 
         Every pixel is asked for: select part of the image, or every tenth pixel, before.
         """

@@ -1,4 +1,4 @@
-"""Bounds of options, declared beside their types: `cadence_s: Annotated[float, Gt(0.0), Le(3600.0)]`.
+"""Bounds of options, declared with their types: `cadence_s: Annotated[float, Gt(0.0), Le(3600.0)]`.
 
 The declaration is the only place: `require_bounds` checks it when options are made, `bounds_text` prints it in messages
 and in the settings reference, and pydantic reads the same marks when settings are loaded. The choices of a `Literal`

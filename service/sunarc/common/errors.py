@@ -47,11 +47,11 @@ class InputError(SunarcError):
 
 
 class NotFoundError(InputError):
-    """What was asked for does not exist."""
+    """Error of a request for something that does not exist."""
 
 
 class ConflictError(InputError):
-    """What was asked of something that is not in the state for it."""
+    """Error of a request to something that is not in the state for it."""
 
 
 class ConfigurationError(SunarcError):
@@ -68,7 +68,7 @@ class OutsideError(SunarcError):
 
 @contextmanager
 def disk_errors(path: Path) -> Iterator[None]:
-    """Raise `OutsideError` where the disk refuses what is written to a file or into a folder."""
+    """Raise `OutsideError` where the disk refuses a write to a file or into a folder."""
     try:
         yield
     except OSError as error:

@@ -12,7 +12,7 @@ from typing import Any
 from sunarc.common.errors import InputError
 
 _PACKAGED = Path("/usr/lib/sunarc")
-"""Where the Debian package has this file; nothing can be installed beside it."""
+"""Where the Debian package has this file; nothing can be installed into it."""
 
 
 PACKED = ("formats", "hub", "imager", "mqtt", "netcdf", "night", "postgresql")
@@ -36,7 +36,7 @@ def extra_module(name: str, *, extra: str) -> Any:  # noqa: ANN401 - a module
 
 
 def require_extra(extra: str, *, what: str) -> None:
-    """Refuse what needs an extra that is not installed.
+    """Refuse a function whose extra is not installed.
 
     Parameters
     ----------

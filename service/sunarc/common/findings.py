@@ -1,4 +1,4 @@
-"""Findings: what was found, as a code and data; the message of the code makes the sentence of it."""
+"""Findings: results as a code and data; the message of the code makes the sentence of it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ UNCODED = "uncoded"
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What was found.
+    """A finding: a code and its data.
 
     Attributes
     ----------
@@ -37,13 +37,13 @@ class Finding:
 
     @property
     def remedy(self) -> str:
-        """What to do about it; of an unknown code "none"."""
+        """Remedy of the finding; "none" for an unknown code."""
         message = message_of(self.code)
         return (message and filled(message.action, self.data)) or "none"
 
     @property
     def sentence(self) -> str:
-        """The sentence with what to do about it."""
+        """Sentence of the finding with its remedy."""
         return f"{self.text}; {self.remedy}"
 
     def as_json(self) -> dict[str, Any]:

@@ -20,7 +20,7 @@ class Message(NamedTuple):
     """The message of a code.
 
     text: the sentence, a template of `str.format` over the data; `{n:day}` is a count, `{x:~2}` has two digits.
-    meaning: what it says of the service. action: what to do about it, a template too.
+    meaning: consequence for the service. action: the remedy, a template too.
     before, after: what joins the sentence to the one before it and to the one after it; `before` goes first.
     """
 

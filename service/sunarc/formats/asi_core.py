@@ -44,7 +44,7 @@ def asi_core_yaml(
     model : a cubic one.
     width, height : px.
     camera : camera_name, mounted, demounted, latitude, longitude, altitude, camera_mask_file,
-        celestial_coordinate_masks (empty where there are none).
+        celestial_coordinate_masks (empty without masks).
     notes : what is said at its top.
     """
     alpha, beta, gamma = Rotation.from_matrix(model.rotation.T).as_euler("XYZ")  # their R is Rx(α) Ry(β) Rz(γ)
@@ -84,7 +84,7 @@ def read_asi_core(content: bytes, *, name: str, beside: Callable[[str], bytes | 
     Parameters
     ----------
     content, name : the file and what it is called.
-    beside : returns a file that it names, its mask; None where that is not there, which its loader allows, too.
+    beside : returns a file that it names, its mask; None where that is missing, which its loader allows, too.
 
     Raises
     ------
@@ -184,7 +184,7 @@ _RANK = {"candidate": 1, "retired": 2, "current": 3}
 
 
 def asi_core_file(calibration: Calibration, document: Document, *, with_matrices: bool = False) -> Exported:
-    """Return the camera file of a calibration, with its mask and, where they are wanted, its matrices beside it."""
+    """Return the camera file of a calibration, with its mask and, where they are wanted, its matrices as companions."""
     camera, model = calibration.camera, ocam_model(calibration.camera, cubic=True)
     error = compare(camera_view(camera), ocam_view("asi-core", model, size=(camera.width, camera.height)))
     mounted = document["valid_from"] or FAR_PAST
@@ -226,7 +226,7 @@ def asi_core_set(documents: Sequence[Document]) -> list[Exported]:
     Raises
     ------
     InputError
-        There is no document, or one is none.
+        A document is missing or invalid.
     """
     if not documents:
         raise InputError(field="calibrations", problem="there is none", remedy="name calibration documents")

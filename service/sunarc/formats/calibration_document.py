@@ -1,4 +1,4 @@
-"""The calibration document: what is served, stored and printed; it alone suffices to project and to unproject."""
+"""The calibration document: the form in which a calibration is served, stored and printed, complete for projection."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class DocumentReader:
         self._document = document
 
     def value(self, key: str, *, needed: bool = True) -> Any:  # noqa: ANN401 - JSON holds anything
-        """Return what stands at a key; None where it is missing and not needed."""
+        """Return the value at a key; None where it is missing and not needed."""
         found: Any = self._document
         for part in key.split("."):
             if not isinstance(found, Mapping) or part not in found:
@@ -67,7 +67,7 @@ class DocumentReader:
         return {name: number for name, number in found.items() if math.isfinite(number) or not optional[name]}
 
     def count(self, key: str) -> int:
-        """Return a whole number; 0 where there is none."""
+        """Return a whole number; 0 where it is missing."""
         found = self.number(key, needed=False)
         return int(found) if math.isfinite(found) else 0
 
@@ -124,7 +124,7 @@ def to_document(
     calibration : the calibration.
     id, camera, pose_epoch : names.
     state : candidate, current, retired or refused.
-    created_at, valid_from, valid_until : aware times; None where there is none.
+    created_at, valid_from, valid_until : aware times; None for an open end.
     software_version : the version that made it.
     """
     return {
@@ -407,7 +407,7 @@ def _read_mixture(read: DocumentReader) -> result.ErrorMixture | None:
 
 
 def _read_mean(read: DocumentReader, basis: WaveBasis) -> Displacement | None:
-    """Return what displaces the image; None where the mean is 0."""
+    """Return the displacement of the image; None where the mean is 0."""
     mean = read.array("uncertainty.field.mean", (2, basis.orders.shape[0]))
     return basis.displacement(mean) if np.any(mean) else None
 

@@ -37,7 +37,7 @@ def read_sightings(lines: Iterable[str], *, name: str, site: Site | None = None)
     These are `sigma_px`, `body`, `zenith_deg,azimuth_deg`, `temperature_c`, `pressure_hpa` and `clock_error_s`. Times
     are ISO 8601 with Z; the header is required, other columns are ignored. A zenith angle and an azimuth (apparent,
     clockwise from north) override the body; without them the body is the sun, or one whose direction the site gives.
-    What is not stated is NaN. A `camera` column names one camera; beside it an `epoch` column numbers the pose epochs,
+    What is not stated is NaN. A `camera` column names one camera; an `epoch` column then numbers the pose epochs,
     as in the tables of `sunarc reanalyse`.
 
     Parameters

@@ -1,4 +1,4 @@
-"""A calibration in another format, and what every file says of its origin (CF conventions 1.11, ACDD 1.3).
+"""A calibration in another format, and the origin that every file states (CF conventions 1.11, ACDD 1.3).
 
 References: CF conventions 1.11; Attribute Convention for Data Discovery 1.3.
 """
@@ -23,7 +23,7 @@ PLACE = "latitude longitude altitude"
 """Names of the scalar coordinates of every variable."""
 
 FAR_PAST, FAR_FUTURE = "1970-01-01T00:00:00Z", "2199-12-31T00:00:00Z"
-"""What is written of a validity without a start or an end."""
+"""Written for a validity without a start or an end."""
 _NOT_STATED = (
     *("creator_url", "creator_email", "institution", "project", "license"),
     *("publisher_name", "publisher_url", "publisher_email"),
@@ -37,7 +37,7 @@ _CONVENTIONS = (
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Variable:
-    """An array, what its dimensions are called, and what it means.
+    """An array, the names of its dimensions, and its meaning.
 
     Attributes
     ----------
@@ -180,7 +180,7 @@ class Exported:
     error : how far it is from the calibration, in one sentence; the file says it too.
     difference : the same in numbers; None for the calibration itself, and where nothing was compared.
     name : what the file is called in a set.
-    beside : files that belong beside it, by the names that it calls them.
+    beside : files that belong with it, by the names that it calls them.
     """
 
     content: bytes
@@ -207,7 +207,7 @@ class Exported:
 
 
 def notes_of(document: Mapping[str, Any]) -> list[str]:
-    """Return what every file says at its top: who made it of which calibration, and the conventions."""
+    """Return the head of every file: who made it of which calibration, and the conventions."""
     software, limit = document["software"], document["uncertainty"].get("sigma_limit_deg")
     return [
         f"{software['name']} {software['version']}: camera {document['camera']}, calibration {document['id']}",

@@ -182,7 +182,7 @@ def read_opencv(content: bytes, *, name: str) -> View:
     Raises
     ------
     InputError
-        It is none: not four distortion coefficients (a calibration of cv2.calibrateCamera has 5 and more), or no size.
+        It has not four distortion coefficients (a calibration of cv2.calibrateCamera has 5 and more), or no size.
     """
     try:
         matrices, numbers = _stored(content.decode())

@@ -1,4 +1,4 @@
-"""Formats of a calibration, one record each: what its files are called, how they are written, read and recognised."""
+"""Formats of a calibration, one record each: names of its files, how they are written, read and recognised."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _PROBED = 9
 
 
 class Read(Protocol):
-    """Returns the view of a camera that a file holds; raises InputError where it is not what its format says."""
+    """Returns the view of a camera that a file holds; raises InputError where the file does not follow its format."""
 
     def __call__(self, content: bytes, /, *, name: str, beside: Beside) -> View:
         """Return the view."""
@@ -248,7 +248,7 @@ def _remap(calibration: Calibration, document: Document, notes: list[str]) -> Wr
 
 
 def _pixels(write: Callable[[BackProjectionMap, list[str]], Written]) -> WriteFiles:
-    """Return what writes the map of what every pixel sees."""
+    """Return the writer of the map of directions of every pixel."""
     return lambda calibration, _, notes: write(back_projection_map(lookup(calibration)), notes)
 
 

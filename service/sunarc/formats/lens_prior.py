@@ -1,4 +1,4 @@
-"""The lens prior file: what is known of a type of lens, as JSON."""
+"""The lens prior file: a prior of a type of lens, as JSON."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def _center(camera: Camera) -> tuple[float, float]:
 
 
 def read_lens_type(content: bytes, *, name: str) -> LensType:
-    """Return the type of lens that a lens prior file holds; InputError names the file and what is wrong with it."""
+    """Return the type of lens that a lens prior file holds; InputError names the file and the fault."""
     try:
         return lens_type_from_json(json.loads(content))
     except (ValueError, RecursionError):

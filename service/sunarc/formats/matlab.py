@@ -45,7 +45,7 @@ def matlab_bytes(content: Mapping[str, Any]) -> bytes:
 
 
 def read_variables(content: bytes, names: Collection[str]) -> dict[str, Variable]:
-    """Return the named variables of a file; what others hold is not looked at.
+    """Return the named variables of a file; the others are not read.
 
     Raises
     ------

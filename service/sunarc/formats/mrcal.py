@@ -158,7 +158,7 @@ def spline_weights(u: FloatArray, knots_per_u: float) -> csr_array:
 
 
 def spline_bending() -> csr_array:
-    """Return what holds the control points that no ray reaches: differences of the third order."""
+    """Return the regularisation of control points that no ray reaches: differences of the third order."""
     third = csr_array(np.diff(np.eye(_KNOTS), n=3, axis=0))
     identity = csr_array(np.eye(_KNOTS))
     return csr_array(vstack([kron(third, identity), kron(identity, third)]))

@@ -30,7 +30,7 @@ _CUBIC = ((0, 1, 2, 3),)
 _GOOD_ENOUGH_PX = 0.02
 _SCALE = 1000.0
 _STEPS = np.r_[1.0, 1.0, np.full(5, 1e-3), np.ones(_FORWARD + 1)]
-"""By what the parameters differ in size: px, affine part and radians, px."""
+"""Scales of the parameters: px, affine part and radians, px."""
 _NODES = 20001
 """Of the table that inverts a polynomial: a linear interpolation of it is exact to 1e-5 px."""
 FRAME = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
@@ -240,7 +240,7 @@ def read_ocamcalib(content: bytes, *, name: str) -> View:
     Raises
     ------
     InputError
-        It is none: not five blocks of numbers, or as many as they count.
+        It is invalid: not five blocks of numbers, or not as many as they count.
     """
     lines = [line.strip() for line in content.decode(errors="replace").splitlines()]
     turn = next((line.partition(_OCAMCALIB_ROTATION)[2] for line in lines if _OCAMCALIB_ROTATION in line), "")

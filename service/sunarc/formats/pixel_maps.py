@@ -52,7 +52,7 @@ def _encoded(image: NDArray[np.uint16], suffix: str) -> bytes:
 
 
 def read_sixteen_bit(content: bytes, *, name: str, beside: Callable[[str], bytes | None]) -> View:
-    """Return the view of two images of 16 bits, of which the one is given and the other is beside it."""
+    """Return the view of two images of 16 bits, of which one is given and the other is in the same folder."""
     kind, other = ("azimuth", "zenith") if name.startswith("azimuth_") else ("zenith", "azimuth")
     second = beside(name.replace(f"{kind}_", f"{other}_", 1)) if name.startswith(f"{kind}_") else None
     if second is None:

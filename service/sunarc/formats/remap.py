@@ -26,7 +26,7 @@ Grid = Literal["sky", "ground"]
 _LARGEST_ZENITH = math.radians(78.0)
 """Out to which a ground grid reaches unless said: as far as forecasting software looks."""
 _NOTHING = -0.5
-"""Coordinates below this are the -1 of what the image has not."""
+"""Coordinates below this are the -1 of cells outside the image."""
 _EARTH_RADIUS_M = 6_371_008.8
 """Mean radius of the earth (IUGG), m."""
 _RIGHT_ANGLE_DEG = 90.0
@@ -68,7 +68,7 @@ def ground_grid(size: int, *, half_width_m: float, height_m: float) -> FloatArra
 
 
 def reach_m(height_m: float) -> float:
-    """Return how far a ground grid reaches unless said, m: what lies within 78 degrees of zenith angle at a height."""
+    """Return the reach of a ground grid unless it is stated, m: up to 78 degrees of zenith angle at a height."""
     return height_m * math.tan(_LARGEST_ZENITH)
 
 
@@ -104,12 +104,12 @@ def remap_table(
     half_width_m: float = 0.0,
     place: tuple[float, float] | None = None,
 ) -> Table:
-    """Return map_x and map_y of a grid's directions (size, size, 3), with what a reader needs of grid and image.
+    """Return map_x and map_y of a grid's directions (size, size, 3), with the attributes of grid and image.
 
     Parameters
     ----------
     camera, directions, grid : of the image, of the grid, and which grid it is.
-    attributes : of the whole, beside its own.
+    attributes : of the whole, in addition to its own.
     half_width_m : of a ground grid, m.
     place : latitude and longitude of the camera, degrees: the origin of a ground grid's coordinates.
     """

@@ -1,4 +1,4 @@
-"""Named arrays with units, as NetCDF (CF conventions) and npz: a calibration, and the map of what every pixel sees."""
+"""Named arrays with units, as NetCDF (CF conventions) and npz: a calibration, and the map of directions."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from sunarc.formats.view import Comparison, View, camera_view, compare, grid_vie
 
 _STEP = 8
 _CHUNK = 128
-"""Side of what is compressed together, px: 64 kB, so that a pixel is read without unpacking the map."""
+"""Side of a compressed block, px: 64 kB, so that a pixel is read without unpacking the map."""
 _WORTH_COMPRESSING = 4096
 _COMPRESSION_LEVEL = 4
 """Of zlib. A map of 1748 x 1748 pixels: 73 MB become 28.9 MB in 0.7 s; level 1 29.7 MB, level 6 28.5 MB."""
@@ -66,7 +66,7 @@ def _content(values: NDArray[Any]) -> dict[str, Any]:
 
 
 def npz_bytes(table: Table) -> bytes:
-    """Return an npz file: the arrays by name, and `attributes`, a JSON text of all that is said of them.
+    """Return an npz file: the arrays by name, and `attributes`, a JSON text of their attributes.
 
     It is compressed, but cannot sort the bytes of numbers by significance as NetCDF does, and is larger.
     """
@@ -116,7 +116,7 @@ def require_directions(directions: NDArray[Any], shape: tuple[int, int], *, name
 
 
 def map_table(found: BackProjectionMap, document: Mapping[str, Any], *, masks: Mapping[str, Variable]) -> Table:
-    """Return the map of what every pixel sees, with masks of its shape."""
+    """Return the map of the directions of every pixel, with masks of its shape."""
     height, width = found.zenith_deg.shape
     variables = _axes(np.arange(width), np.arange(height)) | discovery_variables(document)
     variables |= _views(found.zenith_deg, found.azimuth_deg, found.directions, found.sigma_deg)
@@ -127,7 +127,7 @@ def map_table(found: BackProjectionMap, document: Mapping[str, Any], *, masks: M
 
 
 def calibration_table(calibration: Calibration, document: Mapping[str, Any]) -> tuple[Table, Comparison]:
-    """Return a calibration as arrays: parameters, covariance, and a grid of what every eighth pixel sees.
+    """Return a calibration as arrays: parameters, covariance, and a grid of the directions of every eighth pixel.
 
     The error is that of a bilinear interpolation of the unit vectors between the pixels of the grid.
     """

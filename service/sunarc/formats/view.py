@@ -1,4 +1,4 @@
-"""What a file says of a camera, directions to pixels and pixels to directions; how far two cameras are apart."""
+"""View of a camera by a file, directions to pixels and pixels to directions; difference of two cameras."""
 
 from __future__ import annotations
 
@@ -178,7 +178,7 @@ def _nodes(x: IntArray, y: IntArray, directions: FloatArray) -> tuple[FloatArray
 
 
 def _pixels(looked_at: Convert, wanted: FloatArray, *, nodes: tuple[FloatArray, FloatArray]) -> FloatArray:
-    """Return the pixels (n, 2) of a map that look at directions (n, 3)."""
+    """Return the pixels (n, 2) of a map whose directions are (n, 3)."""
     from scipy.spatial import cKDTree  # noqa: PLC0415 - the service starts sooner without it
 
     pixels = nodes[0][cKDTree(nodes[1]).query(wanted)[1]]
@@ -218,14 +218,14 @@ class Differences:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Comparison:
-    """How far a second camera is from a first one, over the sky in the first one's image.
+    """Difference of a second camera from a first one, over the sky in the first one's image.
 
     Attributes
     ----------
     total : over all of it that the second one describes.
     by_zenith : in `ZENITH_RANGES_DEG`; n = 0 and NaN where the image has none.
     undescribed : share of the sky for which the second one has no pixel or no direction.
-    described_to_deg : smallest zenith angle of such a direction; 90 where there is none.
+    described_to_deg : smallest zenith angle of such a direction; 90 without one.
     rotation_deg : angle of the rotation that brings the second one's directions closest to the first one's.
     rotation_vector_deg : the same as a vector: about east, north and up.
     rms_rotated_deg : of the differences that are left by that rotation.
@@ -352,7 +352,7 @@ _FITTED_DIRECTIONS = 4000
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sky:
-    """Rays spread evenly over what the lens sees, and their pixels.
+    """Rays spread evenly over the lens's field, and their pixels.
 
     Attributes
     ----------
@@ -367,7 +367,7 @@ class Sky:
 
 
 def sky_of(camera: Camera, *, within: float) -> Sky:
-    """Return what a camera sees of the sky, up to an angle in radians off its axis."""
+    """Return a camera's sky, up to an angle in radians off its axis."""
     limit = min(within, rising_limit(camera, up_to=camera.max_angle))
     rays = hemisphere(_FITTED_DIRECTIONS)
     cosine = 1.0 - (1.0 - rays[:, 2]) * (1.0 - math.cos(limit))  # the hemisphere, stretched over the cap

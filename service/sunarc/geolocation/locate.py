@@ -75,7 +75,7 @@ _LEVEL = 1e-4
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Located:
-    """Points above or on the ground; NaN where there is none.
+    """Points above or on the ground; NaN elsewhere.
 
     Attributes
     ----------

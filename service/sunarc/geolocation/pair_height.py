@@ -23,7 +23,7 @@ _LEAST_SIGMAS = 4.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PairView:
-    """How one camera sees the point.
+    """View of the point by one camera.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class PairHeight:
 
 
 def pair_height(first: PairView, second: PairView) -> PairHeight:
-    """Return the height of what two cameras see at the same time.
+    """Return the height of the point that two cameras see at the same time.
 
     The point on each ray that is nearest to the other ray is taken, and the mean of the two by the inverse squares of
     their distances from their cameras.
@@ -69,7 +69,7 @@ def pair_height(first: PairView, second: PairView) -> PairHeight:
     Raises
     ------
     InputError
-        Where a direction is none above the horizon, where the rays are parallel within their errors, and where they
+        Where a direction is not above the horizon, where the rays are parallel within their errors, and where they
         come nearest behind a camera.
     """
     base, axes = in_frame_of(first.site, second.site)

@@ -23,7 +23,7 @@ MEAN_SLOWNESS_S_PER_M = 0.05
 _RIGHT_S, _UNKNOWN_S = 0.1, 1e4
 """1-sigma of a clock beforehand, s: one that follows a time server, and one of which nothing is known."""
 _COHERENCE = 0.1
-"""1-sigma of what clouds change on their way, over the time that they take for it at the daily slowness."""
+"""1-sigma of the change of clouds on their way, over the time that they take for it at the daily slowness."""
 _OUTLYING = 4.0
 
 
@@ -40,7 +40,7 @@ class Lag:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ClockOffsets:
-    """How far each camera's clock is ahead, where the clocks of the others are right.
+    """Offsets of the cameras' clocks, where the clocks of the others are right.
 
     Attributes
     ----------

@@ -1,6 +1,6 @@
-"""How much later one camera lost and found the sun than another, as clouds pass over both.
+"""Delay of one camera's losses of the sun behind another's, as clouds pass over both.
 
-A camera's series says of each exposure whether the sun was seen. It needs neither pose nor site, so that what it says
+A camera's series has for each exposure whether the sun was seen. It needs neither pose nor site, so that what it says
 of a clock no longitude can imitate; what it does not know is the wind (see `clocks`).
 """
 
@@ -102,7 +102,7 @@ def _edges(series: SunSeries) -> int:
 
 
 def _on_grid(series: SunSeries, grid: FloatArray) -> FloatArray:
-    """Return +1 where the nearest exposure saw the sun, -1 where it did not, NaN where there is none near."""
+    """Return +1 where the nearest exposure saw the sun, -1 where it did not, NaN without one near."""
     middle = 0.5 * (series.unix_s[1:] + series.unix_s[:-1])
     index = np.searchsorted(middle, grid)
     known = np.abs(series.unix_s[index] - grid) <= _LONGEST_GAP_S

@@ -35,7 +35,7 @@ from sunarc.imager.web.problems import Fault, RefusedError, answers
 MOST_BYTES = 16_000_000
 """Of a body when it is decompressed; an imager sends a million at once, and one calibration has a few."""
 LARGE_BYTES, LARGE_CONTENT_BYTES = 10_000, 200_000
-"""Of a compressed body and of what it holds, about 200 rows: what an imager sends that was away."""
+"""Of a compressed body and of its content, about 200 rows: a batch of an imager that was away."""
 MOST_LISTS, MOST_VALUES = 200_000, 1_000_000
 """Lists and objects of JSON in a body, and values: an empty list takes 27 times as much memory as of its text."""
 _PATIENCE = 3
@@ -77,7 +77,7 @@ Revision = Annotated[str, Header(alias="Sunarc-Revision", description="Revision 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SentBody:
-    """What an imager sent, as it arrived: under which name, with which token, and what follows which number."""
+    """Body of an imager's request: under which name, with which token, and the number that the rows follow."""
 
     camera: str
     token: str
@@ -89,7 +89,7 @@ class SentBody:
 
 @dataclass(eq=False)
 class FeedReceiver:
-    """Stores what imagers send, and writes into quarantine what is refused.
+    """Stores the rows that imagers send, and writes into quarantine those that are refused.
 
     Parameters
     ----------
@@ -204,7 +204,7 @@ def token_digest(token: str) -> str:
 
 
 def feed_routes(receiver: FeedReceiver) -> APIRouter:
-    """Return the routes that take what imagers send, and say what is stored of it."""
+    """Return the routes that take the rows of imagers, and answer with the stored ones."""
     routes = APIRouter(tags=["fleet"])
     slots = asyncio.Semaphore(LARGE_AT_ONCE)
 
@@ -255,7 +255,7 @@ def feed_routes(receiver: FeedReceiver) -> APIRouter:
 
 
 def _add_stored_days(routes: APIRouter, receiver: FeedReceiver) -> None:
-    """Add the route that says what is stored of a camera."""
+    """Add the route of a camera's stored days."""
     comparing = asyncio.Semaphore(1)
 
     @routes.get("/v1/cameras/{camera}/feed", responses=answers(401, 404, 409, 422, 429))
@@ -297,7 +297,7 @@ class FeedSizes(HttpMiddleware):
     receiver: FeedReceiver
 
     async def answer(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on, and look at the answer's status."""
+        """Pass a request on, and read the answer's status."""
         found = FEED_PATH.fullmatch(scope["path"]) if scope["type"] == "http" else None
         if found is None:
             await self.app(scope, receive, send)

@@ -1,4 +1,4 @@
-"""What a row of a feed may hold: one table of columns, for the hub's check and for the JSON Schema of a line.
+"""Schema of a row of a feed: one table of columns, for the hub's check and for the JSON Schema of a line.
 
 The table is that of the database (`tables`): type, null and words of a column are there. `docs/feed.schema.json` is
 what `feed_schema` returns.
@@ -68,7 +68,7 @@ _VALUES: Mapping[str, type] = {
     "night": values.Night,
     "housekeeping": values.Housekeeping,
 }
-"""Whose fields say what the columns of a kind mean."""
+"""Values whose fields describe the columns of a kind."""
 _MEANINGS: Mapping[str, str] = {
     "camera": "Name of the camera, that of the request.",
     "camera.name": "Name of the camera, that of the request.",
@@ -108,11 +108,11 @@ _MEANINGS: Mapping[str, str] = {
     "event.time": "When it happened.",
     "event.details": "Its numbers; their names have their units.",
 }
-"""What the other columns mean."""
+"""Descriptions of the other columns."""
 
 
 class _Rule(NamedTuple):
-    """What a value of JSON must fit, as JSON Schema and as a test; null apart."""
+    """Rule of a value of JSON, as JSON Schema and as a test; null apart."""
 
     schema: Mapping[str, Any]
     fits: Callable[[Any], bool]
@@ -130,7 +130,7 @@ def _is_number(value: object) -> bool:
 
 
 def _is_text(value: object) -> bool:
-    """Whether both engines can store a text: PostgreSQL stores no NUL, and half of a surrogate pair is no character."""
+    """Return whether both engines can store a text: no NUL (PostgreSQL), no half of a surrogate pair."""
     return (
         type(value) is str
         and "\0" not in value
@@ -139,7 +139,7 @@ def _is_text(value: object) -> bool:
 
 
 def _is_text_throughout(value: object) -> bool:
-    """Whether no text of a list or an object has half of a surrogate pair, which no answer could hold."""
+    """Return whether no text of a list or an object has half of a surrogate pair, which no answer could hold."""
     try:
         json.dumps(value, ensure_ascii=False).encode()
     except UnicodeEncodeError:
@@ -210,7 +210,7 @@ _STATUS: Mapping[str, tuple[_Rule, str]] = {
         "When its rows were last compared with the hub's, RFC 3339; null or missing: not yet, or not by this version.",
     ),
 }
-"""What a status may say; every value may be null or missing, and what is not here is kept too."""
+"""Keys of a status; every value may be null or missing, and other keys are kept too."""
 
 
 class _Check(NamedTuple):
@@ -223,7 +223,7 @@ class _Check(NamedTuple):
 
 @cache
 def _checks(kind: str, only_key: bool) -> tuple[_Check, ...]:  # noqa: FBT001
-    """Return what is checked of each column."""
+    """Return the checks of each column."""
     if kind == STATUS:
         return tuple(_Check(name, False, True, rule.fits, _named(rule)) for name, (rule, _) in _STATUS.items())
     columns = columns_of(kind)
@@ -289,7 +289,7 @@ def _refusal_of_document(data: Mapping[str, Any]) -> Refusal | None:
 
 
 def problem_of(kind: str, data: Mapping[str, Any], *, only_key: bool = False) -> str | None:
-    """Return what is wrong with the form of a row that was sent; None where nothing is."""
+    """Return the fault in the form of a row that was sent; None without one."""
     if kind == STATUS:
         if len(json.dumps(data)) > MOST_ROW_BYTES[STATUS]:
             return f"the status is larger than {MOST_ROW_BYTES[STATUS]} bytes"
@@ -326,7 +326,7 @@ def typed(kind: str, data: Mapping[str, Any]) -> dict[str, Any]:
 
 @cache
 def _conversions(kind: str) -> tuple[tuple[str, str, Callable[[Any], Any]], ...]:
-    """Return the columns whose values are not what JSON has: name, key and conversion."""
+    """Return the columns whose values JSON does not have: name, key and conversion."""
     found = ((name, column, _conversion(column)) for name, column in columns_of(kind).items())
     return tuple((name, column.key, convert) for name, column, convert in found if convert is not None)
 

@@ -1,4 +1,4 @@
-"""The hub's part: what imagers send, each row stored once; its cameras, their tokens, and what is in quarantine."""
+"""The hub's store: rows of imagers, each stored once; its cameras, their tokens, and the quarantine."""
 
 from __future__ import annotations
 
@@ -82,13 +82,13 @@ UNION ALL SELECT 'new months' WHERE NOT has_function_privilege('sunarc_require_m
 """
 _LOCK_WITHIN_MS = 2000
 KEPT = timedelta(days=90)
-"""What did not come again for so long leaves the quarantine."""
+"""Time after which a refused row that did not come again leaves the quarantine."""
 _OTHERS = "(others)"
 """Stands for cameras that nobody registered, beyond the first so many: names cost a stranger nothing."""
 _NAME = re.compile(r"(?! )[^/]{1,100}(?<! )")
 """Of a camera: it is a part of addresses."""
 WHOLE = 0
-"""The `seq` of what was refused as a whole."""
+"""The `seq` of a batch that was refused as a whole."""
 
 
 Tokens = Mapping[str, Sequence[tuple[str, datetime | None]]]
@@ -121,7 +121,7 @@ class _RowError(Exception):
 
 
 class FeedStore(Part):
-    """What imagers send to a hub, their cameras, and what is in quarantine of them."""
+    """Rows that imagers send to a hub, their cameras, and the quarantine."""
 
     def __init__(self, database: Database) -> None:
         super().__init__(database)
@@ -152,7 +152,7 @@ class FeedStore(Part):
         return taken
 
     def _take(self, batch: FeedBatch, now: datetime, *, one_by_one: bool) -> int | Refusal:
-        """Store a batch whose rows the database takes, in few round trips; else with what is needed to leave some out.
+        """Store a batch whose rows the database takes, in few round trips; else row by row, to leave some out.
 
         Raises
         ------
@@ -207,7 +207,7 @@ class FeedStore(Part):
                 self._fail(connection, batch, refusal, now)
 
     def expire(self, *, now: datetime) -> int:
-        """Remove from quarantine what did not come again for 90 days, and gaps that were closed; return how many."""
+        """Remove from quarantine rows that did not come again for 90 days, and closed gaps; return how many."""
         with self._database.writing() as connection:
             old = or_(quarantine.c.last_at < now - KEPT, ~_standing())
             return connection.execute(delete(quarantine).where(old)).rowcount
@@ -234,7 +234,7 @@ class FeedStore(Part):
             connection.execute(text(f"LOCK TABLE {', '.join(tables)} IN ROW EXCLUSIVE MODE"))  # as an insert does
 
     def quarantine(self, camera: str | None = None, *, limit: int | None = None) -> tuple[Quarantined, ...]:
-        """Return what was refused or set apart, the newest first."""
+        """Return the rows that were refused or set apart, the newest first."""
         c = quarantine.c
         statement = select(quarantine).where(_standing(), *given((c.camera.__eq__, camera)))
         return self._database.values(statement.order_by(c.last_at.desc(), c.camera, c.seq).limit(limit), Quarantined)
@@ -323,7 +323,7 @@ class FeedStore(Part):
         return found
 
     def accept_installation(self, camera: str, installation: str, *, now: datetime) -> None:
-        """Take what an installation sends from now on, in place of the one that was taken before."""
+        """Take the rows of an installation from now on, in place of the one that was taken before."""
         c = feed.c
         with self._database.writing() as connection:
             connection.execute(update(feed).where(c.camera == camera).values(accepted=False))
@@ -334,7 +334,7 @@ class FeedStore(Part):
             connection.execute(delete(quarantine).where(*here))
 
     def ask_again(self, camera: str) -> None:
-        """Have all rows of a camera sent again, and clear what is set apart of it."""
+        """Have all rows of a camera sent again, and clear its quarantine."""
         with self._database.writing() as connection:
             done = connection.execute(update(feed).where(feed.c.camera == camera).values(committed=-1))
             connection.execute(delete(quarantine).where(quarantine.c.camera == camera))
@@ -343,7 +343,7 @@ class FeedStore(Part):
 
 
 def _bounded(connection: Connection, name: str) -> str:
-    """Return a name for what came from a camera that nobody registered."""
+    """Return a name for the rows of a camera that nobody registered."""
     q = quarantine.c
     known = connection.scalars(select(q.camera).where(q.reason == "unknown_camera")).all()
     return name if name in known or len(known) < _MOST_UNKNOWN else _OTHERS
@@ -396,7 +396,7 @@ def _standing() -> ColumnElement[bool]:
 
 
 def _sighting_time(row: FeedRow) -> datetime | None:
-    """Return the time of a sighting; None of another row, and where there is none in its place."""
+    """Return the time of a sighting; None of another row, and of one without a time in its place."""
     time = row.data.get("time") if row.kind == "sun_point" and row.data is not None else None
     return from_microseconds(time) if type(time) is int and 0 <= time < LATEST_US else None
 
@@ -410,7 +410,7 @@ def _shown(status: object) -> dict[str, Any] | None:
 
 @dataclass(eq=False)
 class _Storing:
-    """Stores the rows of a batch in their order; those that cannot be stored are set apart, and what follows is stored.
+    """Stores the rows of a batch in their order, and sets apart those that cannot be stored.
 
     Parameters
     ----------
@@ -432,7 +432,7 @@ class _Storing:
             self.own.clear()
 
     def store(self, now: datetime) -> int:
-        """Store all rows, and return how many were stored; a status is none."""
+        """Store all rows, and return how many were stored; a status does not count."""
         n_stored = 0
         for kind, group in groupby(self.batch.rows, key=lambda row: row.kind):
             sound = []
@@ -558,14 +558,14 @@ def _remove(connection: Connection, camera_name: str, kind: str, rows: Sequence[
 
 
 def _make_room(connection: Connection, values: Mapping[str, Any]) -> None:
-    """Retire what is current: rows that are sent again come in another order than that of the changes."""
+    """Retire the current calibration: rows that are sent again come in another order than that of the changes."""
     c = calibration.c
     others = (c.camera == values["camera"], c.id != values["id"], c.state == "current")
     connection.execute(update(calibration).where(*others).values(state="retired"))
 
 
 def _write_events(connection: Connection, camera_name: str, rows: Sequence[dict[str, Any]]) -> None:
-    """Insert events that are not there; what concerns all of an imager concerns at the hub its camera."""
+    """Write new events; an event of all of an imager is at the hub one of its camera."""
     c = event.c
     for row in rows:
         values = {**row, "camera": row.get("camera") or camera_name}
@@ -581,7 +581,7 @@ def _write_events(connection: Connection, camera_name: str, rows: Sequence[dict[
 def _set_apart(
     connection: Connection, batch: FeedBatch, apart: Sequence[tuple[FeedRow | None, Refusal]], *, now: datetime
 ) -> None:
-    """Write into quarantine, once a row, and once an installation for what was refused as a whole (no row); count.
+    """Write into quarantine, once a row, and once an installation for a batch refused as a whole (no row); count.
 
     Of a camera and a reason the first hundred are kept, and what follows is counted in one row.
     """
@@ -620,7 +620,7 @@ def _plain(text: str) -> str:
 
 
 def _note_in_fleet(connection: Connection, batch: FeedBatch, now: datetime) -> None:
-    """Keep what the fleet page shows of a camera, so that it reads one row of each."""
+    """Keep the fleet page's row of a camera, so that the page reads one row of each."""
     changed: dict[str, Any] = {"received_at": now}
     for row in batch.rows:
         if row.kind == STATUS and row.data is not None and problem_of(STATUS, row.data) is None:

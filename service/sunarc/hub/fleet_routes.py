@@ -1,4 +1,4 @@
-"""Routes of a hub: its cameras, what was refused, cross-checks of neighbours, and heights by two cameras."""
+"""Routes of a hub: its cameras, refused rows, cross-checks of neighbours, and heights by two cameras."""
 
 from __future__ import annotations
 
@@ -47,13 +47,13 @@ class Fleet(BaseModel):
 
 
 class HubReadiness(Readiness):
-    """Whether a hub can be relied on, and which hubs work beside it."""
+    """Readiness of a hub, and of the hubs at the same database."""
 
     hubs: Annotated[list[HubRun], described("Hubs beside each other on this database; empty where it is a file.")]
 
 
 class Quarantine(BaseModel):
-    """What was refused or set apart."""
+    """Rows that were refused or set apart."""
 
     rows: Annotated[list[Quarantined], described("The newest first.")]
 
@@ -76,7 +76,7 @@ def fleet_routes(
         camera: Annotated[str | None, Query(description="Of this camera alone.")] = None,
         limit: Annotated[int, row_limit()] = 100,
     ) -> Quarantine:
-        """Return what the hub refused or set aside of what imagers sent, each with its reason, the newest first."""
+        """Return the rows of imagers that the hub refused or set aside, each with its reason, the newest first."""
         return Quarantine(rows=list(archive.feeds.quarantine(camera, limit=limit)))
 
     @routes.get("/healthz")
@@ -85,7 +85,7 @@ def fleet_routes(
         return Alive()
 
     def storing() -> tuple[HubRun, ...]:
-        """Return the hubs beside each other, where rows of every kind can be stored."""
+        """Return the hubs at the same database, where rows of every kind can be stored."""
         archive.cameras.all()
         archive.feeds.require_storing()
         if status().health != "not_ready":
@@ -187,7 +187,7 @@ def _unix_s(time: datetime | None) -> float | None:
 
 
 class NightlyRuns(BaseModel):
-    """How the work of the last nights went."""
+    """Runs of the last nights' work."""
 
     model_config = ConfigDict(title="Nights")
 
@@ -225,7 +225,7 @@ def nightly_routes(archive: HubArchive) -> APIRouter:
     ) -> CrossChecks:
         """Return last night's cross-checks with neighbours: each camera's clock, stated longitude and north.
 
-        Cameras without others within 50 km are not compared. Sizes have their 1-sigma beside them.
+        Cameras without others within 50 km are not compared. Sizes have their 1-sigma.
         """
         found = archive.nightly.cross_checks()
         return replace(found, checks=tuple(one for one in found.checks if camera in {None, one.camera}))

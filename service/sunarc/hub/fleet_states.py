@@ -1,4 +1,4 @@
-"""How a hub's cameras are: the worst that there is to say of each, and every reason for it."""
+"""States of a hub's cameras: the worst one of each, and every reason for it."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ LARGEST_DRIFT_DEG = 0.25
 LEAST_DISK_BYTES = 100e6
 """Of a disk that is not full: imagers remove images when 1200 MB are left."""
 _CROSSED = timedelta(days=3)
-"""What neighbours showed in a night before is no reason any more."""
+"""A result of neighbours from an earlier night is no reason any more."""
 NO_CHECKS = CrossChecks(night=None, time=None, checks=())
 _SUN_UP = math.sin(math.radians(10.0))
-"""From this elevation on a camera is to have looked at the sun, seen or not."""
+"""From this elevation on a camera is to have observed the sun, seen or not."""
 _SOONEST_S = 2 * 3600.0
 """Sightings may be under way for so long."""
 _HOUR_S = 3600.0
@@ -54,7 +54,7 @@ class FleetReason(Returned):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FleetMember(FleetCamera):
-    """A camera as the hub sees it, with the worst that there is to say of it."""
+    """A camera in the hub's view, with its worst state."""
 
     state: Annotated[State, described("The worst of it; `quarantine`: something of it was refused or set apart.")]
     service_state: Annotated[
@@ -146,7 +146,7 @@ def _reasons(camera: FleetCamera, now: datetime) -> Iterator[tuple[State, FleetR
 
 
 def _reported(camera: FleetCamera) -> Iterator[tuple[State, FleetReason]]:
-    """Yield what an imager says of itself."""
+    """Yield the reasons that an imager reports of itself."""
     status: Any = camera.status or {}
     health, listed = status.get("health"), status.get("conditions")
     codes = [str(code) for code in listed] if isinstance(listed, list) else []
@@ -156,7 +156,7 @@ def _reported(camera: FleetCamera) -> Iterator[tuple[State, FleetReason]]:
 
 
 def _found(camera: FleetCamera, now: datetime) -> Iterator[tuple[State, FleetReason]]:
-    """Yield what the hub finds of a camera that sends."""
+    """Yield the reasons that the hub finds in a camera's rows."""
     drift, free = status_number(camera, "drift_deg"), status_number(camera, "disk_free_bytes")
     sigma = camera.sky_rms_deg
     if drift is not None and drift > LARGEST_DRIFT_DEG:
@@ -180,7 +180,7 @@ def _found(camera: FleetCamera, now: datetime) -> Iterator[tuple[State, FleetRea
 
 
 def _shown(check: CrossCheck) -> Iterator[tuple[State, FleetReason]]:
-    """Yield what neighbours show of a camera: a cause with its size and its probability."""
+    """Yield the causes that neighbours show of a camera, with size and probability."""
     for cause in check.alarms:
         if cause == "clock_by_clouds":
             text = f"clock {_measured(check.cloud_clock_s, check.cloud_clock_sigma_s, ' s')} ahead by edges of clouds"

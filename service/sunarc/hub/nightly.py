@@ -32,7 +32,7 @@ from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_directions
 
 _DAYS = timedelta(days=60)
-"""Compared at once; a step that is older has become what was always so."""
+"""Days compared at once; a step that is older counts as the usual state."""
 _CLOUD_DAYS = 30
 _NEAR_M = 50_000.0
 """Neighbours have the refraction of one air mass, and see the same clouds."""
@@ -40,13 +40,13 @@ _MOST = 6
 _CYCLE_S = 5.0
 """Exposures of one cycle are no further apart, s."""
 _CLOCK_SIGMAS = 5.0
-"""By how many sigmas a clock must be off to be named: one in a million of normal errors, and winds are none."""
+"""By how many sigmas a clock must be off to be named: one in a million of normal errors, and winds err otherwise."""
 _M_PER_DEG = 111_195.0
 """Of latitude, on a sphere of 6371 km."""
 
 
 def cross_check_fleet(archive: HubArchive, *, now: datetime) -> tuple[CrossCheck, ...]:
-    """Return what neighbours show of each camera that has some within 50 km; some seconds of processor a camera.
+    """Return the neighbours' results of each camera that has some within 50 km; some seconds of processor a camera.
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ def _site_of(record: CalibrationRecord, otherwise: Site) -> Site:
 
 
 def _check(reading: _Reading, group: Sequence[CameraRecord]) -> CrossCheck:
-    """Return what the rest of a group shows of its first camera."""
+    """Return the result of the rest of a group about its first camera."""
     rotations = [reading.rotations(one) for one in group]
     step = find_steps(rotations)[0]
     clocks = _clocks(reading, group)
@@ -225,7 +225,7 @@ _TRY_AGAIN = timedelta(hours=1)
 _FAILED = "nightly_failed"
 
 Job = Callable[[datetime], Mapping[str, Any]]
-"""Does what is due at a time, and returns what it did, in JSON; done twice, it changes nothing."""
+"""Does the work that is due at a time, and returns a record of it, in JSON; done twice, it changes nothing."""
 
 
 def nightly_jobs(archive: HubArchive, options: NightlyOptions) -> dict[str, Job]:
@@ -267,7 +267,7 @@ class NightlyWork:
     board: StatusRegistry
 
     def run_due(self) -> None:
-        """Run what is due; to be called every minute."""
+        """Run the work that is due; to be called every minute."""
         now = self.clock.now()
         unix_s = (now - _AFTER_MIDNIGHT).timestamp()
         night = solar_date(unix_s, longitude=self.archive.nightly.mean_longitude())

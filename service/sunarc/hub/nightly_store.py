@@ -1,4 +1,4 @@
-"""What a hub does by night: summaries of solar days, cross-checks, retention, and how the last nights went."""
+"""A hub's work by night: summaries of solar days, cross-checks, retention, and how the last nights went."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from sunarc.sky.days import day_bounds_unix_s
 
 Found = FleetCause | Literal["clock_by_clouds", "unconfirmed"]
 NO_ALARMS: frozenset[Found] = frozenset({"slow_turn", "unconfirmed"})
-"""What is found and is nothing that somebody has to correct."""
+"""Causes that are found and that nobody has to correct."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CrossCheck(Returned):
-    """What a camera's neighbours show of it."""
+    """Result of a camera's neighbours about it."""
 
     camera: Annotated[str, described("Its name.", "roof")]
     neighbours: Annotated[tuple[str, ...], described("Cameras it was compared with.", ["mast", "gate"])]
@@ -61,7 +61,7 @@ class CrossCheck(Returned):
 
     @property
     def alarms(self) -> tuple[Found, ...]:
-        """What of it somebody has to correct."""
+        """Results that somebody has to correct."""
         return tuple(one for one in self.found if one not in NO_ALARMS)
 
     def as_json(self) -> dict[str, Any]:
@@ -128,7 +128,7 @@ class DaySummary(Returned):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NightlyRun(Returned):
-    """How the work of a night went."""
+    """Run of the work of a night."""
 
     night: Annotated[date, described("Its solar date at the fleet's mean longitude.", "2013-05-13")]
     started_at: Time
@@ -149,7 +149,7 @@ class NightlyRun(Returned):
 
 
 class NightlyStore(Part):
-    """What a hub works on by night."""
+    """Store of a hub's work by night."""
 
     def summarise_days(self) -> int:
         """Summarise the judged days that have no summary, or were judged anew since, and return how many.
@@ -207,7 +207,7 @@ class NightlyStore(Part):
         return _mean_angle_deg([float(one) for one in found])
 
     def save(self, run: NightlyRun) -> None:
-        """Remember how the work of a night goes, in place of what was known of it."""
+        """Save the progress of a night's work, in place of the saved one."""
         row = {name: getattr(run, name) for name in ("night", "started_at", "finished_at")}
         with self._database.writing() as connection:
             upsert(connection, nightly_run, {**row, "results": dict(run.results)}, key=["night"])

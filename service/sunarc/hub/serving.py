@@ -107,7 +107,7 @@ def _serve_at(listening: socket.socket, archive: HubArchive, settings: HubSettin
 
 
 def fleet_states(archive: HubArchive, now: Callable[[], datetime]) -> Callable[[], Mapping[str, CameraState]]:
-    """Return a function that returns the states of a hub's cameras, by what they last reported."""
+    """Return a function that returns the states of a hub's cameras, by their last reports."""
 
     def states() -> Mapping[str, CameraState]:
         # What was registered and sent nothing yet has no state that could change.
@@ -129,7 +129,7 @@ def fleet_states(archive: HubArchive, now: Callable[[], datetime]) -> Callable[[
 
 
 def _fleet_conditions(camera: FleetMember) -> Mapping[str, Mapping[str, object]]:
-    """Return what an imager reported of itself, and what the hub finds."""
+    """Return the conditions that an imager reported of itself, and those that the hub finds."""
     reported = (camera.status or {}).get("conditions")
     codes = [str(code) for code in reported] if isinstance(reported, list) else []
     return {code: {"code": code} for code in (*codes, *(one.code for one in camera.why))}

@@ -20,7 +20,7 @@ _ORDERS = np.arange(2, 10)
 _ANGLES = 46
 _AZIMUTHS = 24
 _FIRST_DAMPING, _LARGEST_DAMPING = 1e-12, 1e8
-"""Shares of the squared columns: the first one is what rounding leaves, since the start is close."""
+"""Shares of the squared columns: the first one is that of rounding, since the start is close."""
 _STEPS = 50
 _GAIN = 1e-6
 """Relative gain of the squares at convergence: with q1 and q2 next to nothing, q3 to q5 are not determined."""
@@ -137,7 +137,7 @@ def first_coefficients(camera: Camera, x_hat: FloatArray, y_hat: FloatArray, tar
     """Start from the forward model's own decentering, which is the backward one's to first order.
 
     It is not let be 0: q3 to q5 have no effect where q1 = q2 = 0. The radial coefficients are those of linear least
-    squares beside it.
+    squares in addition.
 
     Parameters
     ----------

@@ -73,7 +73,7 @@ class Camera:
     decentering : p1 … p4 of Eq. 12.
     mirrored : the image is a mirror image: x becomes width - 1 - x before the model.
     max_angle : radians off the axis up to which the model answers.
-    displacement : what displaces the image beside the lens; None: nothing.
+    displacement : of the image with respect to the lens; None without one.
     """
 
     width: int
@@ -91,7 +91,7 @@ class Camera:
     displacement: Displacement | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what is no camera."""
+        """Refuse an invalid camera."""
         if self.projection not in tuple(PROJECTIONS):  # what a document holds here need not be hashable
             raise InputError(
                 field="projection", problem=f"{self.projection!r} is unknown", remedy=f"use one of {tuple(PROJECTIONS)}"

@@ -1,4 +1,4 @@
-"""What displaces the image beside the lens: a smooth field that the lens's formula cannot say.
+"""Displacement of the image with respect to the lens: a smooth field outside the lens's formula.
 
 Lenses and sensors are not quite as a formula with twelve coefficients has them. The rest, tenths of a pixel, is smooth
 over the image, and is written in sine waves on a box around it (`calibration.model.residual_field` says where they come
@@ -41,7 +41,7 @@ class Displacement:
     y_px: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        """Refuse what is not a displacement."""
+        """Refuse an invalid displacement."""
         if not len(self.orders) == len(self.x_px) == len(self.y_px):
             raise InputError(
                 field="displacement", problem="orders and coefficients differ in number", remedy="give one for each"
@@ -56,11 +56,11 @@ class Displacement:
             raise InputError(field="displacement", problem="not finite, or an empty box", remedy="give finite numbers")
 
     def at(self, pixels: FloatArray) -> FloatArray:
-        """Return (n, 2): by how much what the lens alone puts at pixels (n, 2) is displaced, px; NaN for NaN."""
+        """Return (n, 2): the displacement of pixels (n, 2) of the lens alone, px; NaN for NaN."""
         return _kernels.displacement_at(*_box_and_coefficients(self), np.ascontiguousarray(pixels, dtype=np.float64))
 
     def with_slopes(self, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return what `at` returns, and its derivatives by the pixel (n, 2, 2), last axis the pixel's."""
+        """Return the displacement as `at` does, and its derivatives by the pixel (n, 2, 2), last axis the pixel's."""
         pixel = np.ascontiguousarray(pixels, dtype=np.float64)
         return _kernels.displacement_and_slopes(*_box_and_coefficients(self), pixel)
 

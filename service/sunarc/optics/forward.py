@@ -18,7 +18,7 @@ _RIGHT_ANGLE = math.pi / 2
 
 
 class Optics(NamedTuple):
-    """What the kernels take of a camera beside its 23 parameters.
+    """Arguments of the kernels besides a camera's 23 parameters.
 
     code : of the projection (`projections.PROJECTIONS`). mirror : width - 1 of a mirrored image, negative for one that
     is not. max_angle : angle off the axis up to which it shows anything, radians.
@@ -68,7 +68,7 @@ def by_direction(camera: Camera, by_parameters: FloatArray) -> FloatArray:
 
 
 def project_fast(camera: Camera, direction_enu: FloatArray) -> FloatArray:
-    """Return what `project` returns for directions (n, 3)."""
+    """Return pixels as `project` does, for directions (n, 3)."""
     rotation = rotation_matrix(camera.rotation_cam_enu)
     directions = np.ascontiguousarray(direction_enu, dtype=np.float64)
     pixels = _kernels.pixels_of(camera.to_vector(), *kernel_optics(camera), rotation, directions)
@@ -94,7 +94,7 @@ def kernel_optics(camera: Camera) -> Optics:
 
 
 def mirror_of(camera: Camera) -> float:
-    """Return width - 1 of a mirrored image, -1 of another: what the kernels subtract x from."""
+    """Return width - 1 of a mirrored image, -1 of another: the number from which the kernels subtract x."""
     return camera.width - 1.0 if camera.mirrored else -1.0
 
 

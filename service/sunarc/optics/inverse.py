@@ -14,7 +14,7 @@ from sunarc.optics.projections import angle_limit
 
 
 def unproject(camera: Camera, pixel: ArrayLike) -> FloatArray:
-    """Return the directions that pixels look at.
+    """Return the directions of pixels.
 
     Parameters
     ----------

@@ -66,7 +66,7 @@ class DisplacementTable:
     coefficients: FloatArray
 
     def inverse(self, pixels: FloatArray) -> FloatArray:
-        """Return (n, 2): what `Displacement.inverse` returns for pixels (n, 2), to 1e-6 px."""
+        """Return (n, 2): the pixels of `Displacement.inverse`, to 1e-6 px."""
         pixel = np.ascontiguousarray(pixels, dtype=np.float64)
         origin, step = np.array(self.origin_px), np.array(self.step_px)
         result, any_beyond = _kernels.pixels_from_grid(self.coefficients, origin, step, pixel)
@@ -126,7 +126,7 @@ class InverseTable:
     displacement: DisplacementTable | None
 
     def directions(self, pixels: ArrayLike) -> FloatArray:
-        """Return what `unproject` returns for pixels (..., 2), to about 1e-8 px."""
+        """Return directions as `unproject` does for pixels (..., 2), to about 1e-8 px."""
         pixel = np.asarray(pixels, dtype=np.float64)
         flat = np.ascontiguousarray(pixel.reshape(-1, 2))
         if self.displacement is not None:

@@ -24,7 +24,7 @@ _LINEAR = 1e-6
 
 
 class IdealLens(NamedTuple):
-    """What one projection is.
+    """One projection.
 
     code : its number in the compiled kernels, which refuse any other.
     shape : k of the family.

@@ -36,7 +36,7 @@ def write_lens_prior(path: Path, lens: LensType) -> None:
 
 
 def combined_lens(documents: Sequence[dict[str, Any]], files: Sequence[Path], *, spread: UnitSpread | None) -> LensType:
-    """Return what calibration documents, and files of such, say of one type of lens.
+    """Return the combined lens of calibration documents, and of files of such, of one type of lens.
 
     Raises
     ------
@@ -120,7 +120,7 @@ def calibrate_file(
 
 
 def read_points(path: Path, site: Site) -> Sightings:
-    """Return a CSV file's sightings; InputError where the file is none."""
+    """Return a CSV file's sightings; InputError where the file is invalid."""
     return read_sightings(read_lines(path), name=path.name, site=site)
 
 

@@ -86,7 +86,7 @@ class Calibration:
 
     @property
     def accepted(self) -> bool:
-        """Whether it may be used: its verdict is accepted, or provisional where its 1-sigma is small."""
+        """True for an accepted verdict, and for a provisional one whose 1-sigma is small."""
         return self.verdict in {"accepted", "provisional"}
 
     @property
@@ -419,7 +419,7 @@ class Calibration:
         return StatedStart(self._name, self.view, self._solved)
 
     def _residuals(self, solved: Solved, sightings: Sightings | None) -> Residuals | None:
-        """Return the residuals of sightings, or of those of the fit; None where there are none."""
+        """Return the residuals of sightings, or of those of the fit; None without sightings."""
         given = self._sightings if sightings is None else sightings
         return None if given is None else residuals_of(solved, given.at(site_of(solved.site)))
 

@@ -61,7 +61,7 @@ def _write_answers(target: TextIO, rows: Rows, names: Sequence[str]) -> None:
 
 
 def read_calibration(path: Path) -> Calibration:
-    """Return the calibration of a document's file; InputError when it is none."""
+    """Return the calibration of a document's file; InputError where the file is invalid."""
     try:
         document = json.loads(read_file(path))
     except (ValueError, RecursionError):
@@ -88,7 +88,7 @@ _WRITERS = {".nc": netcdf_bytes, ".npz": npz_bytes}
 
 
 def read_view_file(path: Path) -> View:
-    """Return the view of a camera that a file of any format holds; files that it names are looked for beside it."""
+    """Return the view of a camera that a file of any format holds; files that it names are looked for in its folder."""
 
     def beside(name: str) -> bytes | None:
         other = path.parent / name
@@ -117,7 +117,7 @@ def is_set(form: str, target: Path) -> bool:
 def write_exports(
     documents: Sequence[dict[str, Any]], form: str, target: Path, *, draws: int = 0, seed: int = 0
 ) -> list[Exported]:
-    """Write a calibration document in another format, of asi-core's set all documents; return what was written.
+    """Write a calibration document in another format, of asi-core's set all documents; return the written files.
 
     Parameters
     ----------
@@ -212,7 +212,7 @@ def rectify_files(
     folder: Path,
     accept_refused: bool = False,
 ) -> list[dict[str, Any]]:
-    """Map images to a grid, write them into a folder, and return what was written.
+    """Map images to a grid, write them into a folder, and return the written files.
 
     Parameters
     ----------

@@ -103,7 +103,7 @@ def find_sun(
     Raises
     ------
     InputError
-        Where the picture is none, or the time has no zone.
+        Where the picture is invalid, or the time has no zone.
 
     Examples
     --------
@@ -208,7 +208,7 @@ def find_stars(
     Raises
     ------
     InputError
-        Where a picture is none, a time has no zone, or neither site nor calibration is given.
+        Where a picture is invalid, a time has no zone, or neither site nor calibration is given.
 
     Examples
     --------

@@ -144,7 +144,7 @@ def numbers(value: Values, *, field: str) -> FloatArray:
 
 
 def number(value: object, *, field: str) -> float:
-    """Return one finite number; InputError where it is none, or several."""
+    """Return one finite number; InputError for several, and for other values."""
     found = numbers(value, field=field)
     if found.ndim != 0:
         raise InputError(field=field, problem=f"has shape {found.shape}", remedy="give one number")
@@ -231,7 +231,7 @@ def asked_times(time: Times) -> Asked:
 
 
 def _fitting(columns: Mapping[str, Values], broadcast: Callable[[], Result]) -> Result:
-    """Return what is broadcast; InputError where the shapes do not fit."""
+    """Return the broadcast values; InputError where the shapes do not fit."""
     try:
         return broadcast()
     except ValueError:
@@ -241,7 +241,7 @@ def _fitting(columns: Mapping[str, Values], broadcast: Callable[[], Result]) -> 
 
 
 def choice(name: str, value: object, choices: tuple[Any, ...]) -> Any:  # noqa: ANN401 - one of the choices
-    """Return a choice; InputError names the others where it is none."""
+    """Return a choice; InputError names the valid ones for another."""
     if value in choices:
         return value
     raise InputError(field=name, problem=f"{value!r} is unknown", remedy=f"use one of {', '.join(choices)}")

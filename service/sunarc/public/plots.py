@@ -58,7 +58,7 @@ def letter(axes: Axes, *, x: str, y: str, title: str = "") -> None:
 
 
 def key(axes: Axes, *, location: Location = "best", columns: int = 1) -> None:
-    """Draw the key of what was drawn with a label, if anything was."""
+    """Draw the key of the labelled parts, if there are any."""
     if axes.get_legend_handles_labels()[0]:
         axes.legend(loc=location, ncols=columns, fontsize=LETTERING_PT - 1.0, framealpha=0.9, markerscale=1.6)
 
@@ -345,7 +345,7 @@ def _draw_sigma(axes: Axes, across: FloatArray, up: FloatArray, sigma: FloatArra
 
 
 def contour_levels(low: float, high: float) -> list[float]:
-    """Return round numbers strictly between two bounds, few enough to be read, and none where the bounds are alike."""
+    """Return round numbers strictly between two bounds, few enough to be read; empty where the bounds are alike."""
     if not 0.0 < low < high:
         return []
     powers = range(int(np.floor(np.log10(low))), int(np.floor(np.log10(high))) + 1)

@@ -66,7 +66,7 @@ class StarOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StarImage:
-    """What an image of the night shows; without time and stars where it could not be read."""
+    """Stars of an image of the night; without time and stars where it could not be read."""
 
     file: str
     reason: str
@@ -256,7 +256,7 @@ _FARTHEST_DEG = 2.0
 
 
 def _other_site(path: Path, site: Site) -> Finding | None:
-    """Return what a FITS header says that is another site; longitudes that are positive to the west are known."""
+    """Return the site of a FITS header that differs; longitudes that are positive to the west are known."""
     if kind_of(path.name) != "fits":
         return None
     with opened(Folder(name_text(path.parent)), name_text(path.name)) as file:
@@ -310,7 +310,7 @@ def _require_size(name: str, found: tuple[int, int], size: tuple[int, int] | Non
 
 
 def _view(image: StarImage, camera: Camera) -> StarView | None:
-    """Return what an image shows; None where it could not be read."""
+    """Return the stars of an image; None where it could not be read."""
     if image.time is None or image.sky is None or image.stars is None or image.predicted is None:
         return None
     unix_s = image.time.timestamp()
@@ -333,11 +333,11 @@ have in common more do not average."""
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BlindResult:
-    """What images of a night show without a calibration.
+    """Result of images of a night without a calibration.
 
     Attributes
     ----------
-    start : the camera that the stars gave, or why there is none.
+    start : the camera by the stars, or the reason why it is missing.
     images : each image, its stars named by the calibration where there is one.
     calibration : the fit of the stars; None where there was no start.
     """
@@ -353,7 +353,7 @@ class BlindResult:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """Return what the start and the fit say."""
+        """Return the findings of the start and of the fit."""
         return self.start.findings + (() if self.calibration is None else self.calibration.verdict.findings)
 
     def as_json(self) -> dict[str, Any]:

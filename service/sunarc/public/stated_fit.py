@@ -225,7 +225,7 @@ def require_lens(lens: LensType, *, image_size: tuple[int, int], options: Calibr
 def start_camera(
     start: StatedStart, image_size: tuple[int, int], options: CalibrationOptions, *, posed: bool = False
 ) -> Camera:
-    """Return the camera to begin at: that of a document, or the one closest to what a file of another format says.
+    """Return the camera to begin at: that of a document, or the one closest to the view by a file of another format.
 
     `posed` requires that the file has a pose.
     """

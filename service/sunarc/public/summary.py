@@ -1,4 +1,4 @@
-"""The text of a calibration: what `sunarc calibrate` and `print(calibration)` print."""
+"""The text of a calibration: the output of `sunarc calibrate` and of `print(calibration)`."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def _camera_rows(document: dict[str, Any]) -> tuple[list[list[str]], list[list[s
 
 
 def _remedies(verdict: dict[str, Any]) -> list[str]:
-    """Return what to do about a calibration that is not accepted, each once."""
+    """Return the remedies of a calibration that is not accepted, each once."""
     found = [] if verdict["accepted"] else [finding.remedy for finding in findings_of(verdict)]
     return [one for one in dict.fromkeys(found) if one != "none"]
 
@@ -64,7 +64,7 @@ def field_text(field: dict[str, Any]) -> str:
 
 
 def _rmse(metrics: dict[str, Any]) -> str:
-    """Return the RMSE in words; what was refused before a fit has none."""
+    """Return the RMSE in words; a calibration refused before a fit has no value."""
     if metrics["rmse_px"] is None or metrics["rmse_deg"] is None:
         return "no fit"
     return f"{significant(metrics['rmse_px'], 2)} px, {significant(metrics['rmse_deg'], 2)}°"

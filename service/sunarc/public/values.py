@@ -49,7 +49,7 @@ class Site:
     """Annual mean air temperature, degrees Celsius."""
 
     def __post_init__(self) -> None:
-        """Refuse what is no place on Earth."""
+        """Refuse an invalid place."""
         for name in self.__dataclass_fields__:
             value = getattr(self, name)
             if value is not None:
@@ -297,7 +297,7 @@ class PixelPositions:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CloudPositions:
-    """Positions of clouds or of their shadows, in the shape of the question; NaN where there is none."""
+    """Positions of clouds or of their shadows, in the shape of the question; NaN elsewhere."""
 
     east_m: Values
     """East of the camera."""

@@ -66,7 +66,7 @@ class StarTable:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NightSky:
-    """What shines as a point at one moment.
+    """Lights of the sky that shine as points at one moment.
 
     Attributes
     ----------
@@ -353,7 +353,7 @@ _NAMES = {
 
 
 def title_of(body: str) -> str:
-    """Return what a person calls a body: Sirius, HIP 12345, Venus."""
+    """Return the common name of a body: Sirius, HIP 12345, Venus."""
     if not body.startswith(STAR):
         return body.capitalize()
     number = int(body.removeprefix(STAR))

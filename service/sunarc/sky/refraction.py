@@ -19,7 +19,7 @@ MEASURED_AIR_SD = 0.01
 """The same where temperature or pressure were measured: 2 K (a sensor in the sun) are 0.7 %, the rest is the formula's
 own error at moderate elevations."""
 DAILY_AIR_SD = 0.015
-"""1-sigma of the refraction of one day beside the others of a record, as a share, where it was not measured: 4 K and
+"""1-sigma of the refraction of one day against the others of a record, as a share, where it was not measured: 4 K and
 0.6 % of pressure."""
 
 _LOWEST_REFRACTED_DEG = -(0.26667 + 0.5667)

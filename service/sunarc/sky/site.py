@@ -52,7 +52,7 @@ class Site:
     temperature: TemperatureC = 12.0
 
     def __post_init__(self) -> None:
-        """Refuse what is no place on Earth."""
+        """Refuse an invalid place."""
         require_bounds(self, section_path="site")
 
     @property

@@ -204,7 +204,7 @@ EXPOSURE, PIXEL_FORMAT, OFFSET_X, OFFSET_Y = 0x120, 0x128, 0x130, 0x134
 VENDOR, MODEL, SERIAL = 0x48, 0x68, 0xD8
 BINNING_X, BINNING_Y, ACQUISITION, TRIGGER_MODE, TRIGGER_SOURCE = 0x108, 0x10C, 0x124, 0x300, 0x304
 TRIGGER_SOFTWARE, EXPOSE = 0x30C, 0xB140
-"""What has Aravis send a frame at once; and a register of ours, after which the exposure takes its time first."""
+"""Registers that have Aravis send a frame at once; and one of ours, after which the exposure takes its time first."""
 CONTROL_PRIVILEGE, PACKET_SIZE = 0xA00, 0xD04
 TEMPERATURE, DELAY, LOSS, FREEZE, WRONG_EXPOSURE = 0xB000, 0xB100, 0xB104, 0xB108, 0xB10C
 STALE_EXPOSURE, POWER_CYCLE, DROP_CONTROL, CLOCK_DRIFT = 0xB110, 0xB114, 0xB118, 0xB11C

@@ -64,7 +64,7 @@ ExposureUs = Annotated[int, Ge(1), Lt(2**32)]
 _HEADERS_BYTES = 36
 """Of a stream packet: IPv4, UDP and GVSP (AIA, "GigE Vision", version 1.2, chapter 24)."""
 _START, _NOTED_START = 1, 3
-"""A start of acquisition, and what is written over one that was noticed: any number but 0 goes on as well."""
+"""A start of acquisition, and the number written over one that was noticed: any number but 0 goes on as well."""
 _FORMAT_NAMES = {number: name for name, number in genicam.PIXEL_FORMATS.items()}
 
 
@@ -111,7 +111,7 @@ class ImagerOptions:
     die_with_parent: bool = True
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be simulated."""
+        """Refuse options that cannot be simulated."""
         if self.start.tzinfo is None:
             raise InputError(field="start", problem="has no time zone", remedy="give UTC, as 2013-05-13T12:00:00Z")
         require_bounds(self, section_path="")
@@ -184,7 +184,7 @@ class _Exposure(NamedTuple):
 
 
 class _Imager:
-    """Renders what the registers ask for, at the simulated time."""
+    """Renders the frames that the registers request, at the simulated time."""
 
     def __init__(
         self, options: ImagerOptions, scene: Scene, camera: FakeCamera, *, stop: threading.Event, clock: Clock
@@ -279,7 +279,7 @@ class _Imager:
             del self._last_images[next(iter(self._last_images))]
 
     def _repeated(self, request: Request) -> Image | None:
-        """Return the image that was last sent for the same request; None where there is none."""
+        """Return the image that was last sent for the same request; None without one."""
         return self._last_images.get(request)
 
     def _follow_speed(self, elapsed_s: float) -> None:
@@ -297,7 +297,7 @@ class _Imager:
             self._camera.write(genicam.CONTROL_PRIVILEGE, 0)
 
     def _badness(self) -> Badness | None:
-        """Return what is bad about a frame that follows a start of acquisition too soon, each kind in turn."""
+        """Return the fault of a frame that follows a start of acquisition too soon, each kind in turn."""
         if self._camera.read(genicam.ACQUISITION) == _START:
             self._camera.write(genicam.ACQUISITION, _NOTED_START)
             self._bad_left = self._camera.read(genicam.BAD_AFTER_START)
@@ -326,7 +326,7 @@ class _Imager:
         return mixed
 
     def _light_us(self, exposure_us: float, bad: Badness | None) -> float:
-        """Return how long the frame is exposed: what it states, unless a fault is set."""
+        """Return the true exposure of the frame, µs: the stated one, unless a fault is set."""
         percent = self._camera.read(genicam.WRONG_EXPOSURE) or self._camera.read(genicam.ALL_EXPOSURES) or 100
         self._camera.write(genicam.WRONG_EXPOSURE, 0)
         if self._camera.read(genicam.BLACK) or bad == "black":
@@ -467,7 +467,7 @@ class SceneTimeline:
 
 
 def next_dawn(unix_s: float, site: Site) -> float:
-    """Return the next minute at which the sun is at most 92° from the zenith; `unix_s` itself if there is none."""
+    """Return the next minute at which the sun is at most 92° from the zenith; `unix_s` itself without one."""
     minutes = np.arange(0.0, DAY_S, _STEP_S)
     for day in range(_LONGEST_NIGHT_DAYS):
         times = unix_s + day * DAY_S + minutes

@@ -43,7 +43,7 @@ _BROKEN = ("empty", "truncated", "text", "other size", "huge header", "night")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraChange:
-    """What happens to a camera at a time: it turns (degrees, about east, north and up), or gets another lens."""
+    """Change of a camera at a time: it turns (degrees, about east, north and up), or gets another lens."""
 
     day: int
     hour: float
@@ -78,7 +78,7 @@ class MadeCamera:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MadeArchive:
-    """How large an archive is made.
+    """Size of a made archive.
 
     Attributes
     ----------
@@ -88,7 +88,7 @@ class MadeArchive:
     size : side of the images, px.
     first_day : midnight UTC before the first one.
     cloudy_share : share of the images in which a cloud hides the sun.
-    broken : broken files a camera, beside its images.
+    broken : broken files a camera, in addition to its images.
     seed : of cloud and noise.
     site : where all cameras stand.
     """

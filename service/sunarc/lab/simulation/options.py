@@ -1,4 +1,4 @@
-"""What can be set about the simulated sky, the lens's faults and the sensor."""
+"""Options of the simulated sky, the lens's faults and the sensor."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Magnitude = Annotated[float, Ge(10.0), Le(30.0)]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimulatedNight:
-    """The sky of the night, and what else shines in it.
+    """The sky of the night, and its other lights.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class SimulatedNight:
     aircraft: Annotated[NonNegative, Le(50.0)] = 0.1
 
     def __post_init__(self) -> None:
-        """Refuse what is no night."""
+        """Refuse an invalid night."""
         require_bounds(self, section_path="")
 
 
@@ -87,7 +87,7 @@ class Bump:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorModel:
-    """How light becomes counts.
+    """Response of the sensor: counts by light.
 
     Attributes
     ----------
@@ -107,7 +107,7 @@ class SensorModel:
     smear_us_per_row: NonNegative = 2e-3
 
     def __post_init__(self) -> None:
-        """Refuse what is no sensor."""
+        """Refuse an invalid sensor."""
         require_bounds(self, section_path="")
 
 
@@ -154,7 +154,7 @@ class SceneOptions:
     night: SimulatedNight | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what is no scene."""
+        """Refuse an invalid scene."""
         require_bounds(self, section_path="")
         if not self.weather:
             raise InputError(field="weather", problem="is empty", remedy=f"use {', '.join(WEATHERS)}")

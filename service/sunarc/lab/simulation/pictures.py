@@ -160,7 +160,7 @@ class PresentPicture:
 
 @dataclass(eq=False)
 class PictureServer:
-    """What a Mobotix or Axis camera answers to a request for its present picture.
+    """Answers of a Mobotix or Axis camera to a request for its present picture.
 
     Parameters
     ----------

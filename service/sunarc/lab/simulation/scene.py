@@ -289,7 +289,7 @@ def behind_mosaic(light: NDArray[np.float32], bayer: Bayer, *, first: tuple[int,
 
 
 def run_over(light: NDArray[np.float32], most: float, share: float) -> None:
-    """Let what a well cannot hold run along its column, half up and half down, until wells with room have taken it.
+    """Let the surplus of a well run along its column, half up and half down, until wells with room have taken it.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Parts of the simulated sky by day and by night: clouds, the sun's disc on the sensor, what every pixel looks at."""
+"""Parts of the simulated sky by day and by night: clouds, the sun's disc on the sensor, directions of pixels."""
 
 from __future__ import annotations
 
@@ -146,7 +146,7 @@ _ROWS_AT_ONCE = 64
 
 
 class RegionLight(NamedTuple):
-    """A region of the image: its light (h, w), what its pixels look at (h, w, 4), and its first pixel."""
+    """A region of the image: its light (h, w), the directions of its pixels (h, w, 4), and its first pixel."""
 
     light: NDArray[np.float32]
     field: NDArray[np.float32]
@@ -155,7 +155,7 @@ class RegionLight(NamedTuple):
 
 @lru_cache(maxsize=1)
 def pixel_field(camera: Camera, *, field_deg: float, obstructions: tuple[Obstruction, ...]) -> NDArray[np.float32]:
-    """Return (height, width, 4) float32: east, north, up of each pixel, and what it sees.
+    """Return (height, width, 4) float32: east, north, up of each pixel, and whether it sees the sky.
 
     The fourth number is the share of sky (0 to 1), minus the share of ground where it sees ground, and 0 outside the
     image circle; edges are soft over one pixel. The last answer is kept (it takes seconds), and not to be written to.

@@ -1,4 +1,4 @@
-"""True cameras: the paper's own, and others drawn from what lenses and mounts are like."""
+"""True cameras: the paper's own, and others drawn from distributions of lenses and mounts."""
 
 from __future__ import annotations
 

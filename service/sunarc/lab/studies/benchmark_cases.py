@@ -1,4 +1,4 @@
-"""The cases of the benchmark: lenses, suns and errors drawn from a seed, with what a calibration of them should say.
+"""The cases of the benchmark: lenses, suns and errors drawn from a seed, with the truth of each.
 
 The lens is this package's camera with a radial residual that its polynomial does not hold. A second generator, which
 shares no code with this one, is `docs/studies/benchmark_second.py`.
@@ -51,7 +51,7 @@ CONDITIONS = (
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BenchmarkCase:
-    """What an entrant is given.
+    """Input of an entrant.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class BenchmarkCase:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BenchmarkTruth:
-    """What is withheld from an entrant.
+    """Truth that is withheld from an entrant.
 
     Attributes
     ----------
@@ -100,7 +100,7 @@ class BenchmarkTruth:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Instrument:
-    """A camera, and what its pixels are displaced by outwards, px, by the angle off the axis and the one about it."""
+    """A camera, and the outward displacement of its pixels, px, by the angle off the axis and the one about it."""
 
     camera: Camera
     nominal: Camera
@@ -264,7 +264,7 @@ def _sun(
     instruments: tuple[_Instrument, _Instrument],
     condition: str,
 ) -> Sightings:
-    """Return what a detector would have recorded of the sun, by a camera and from some time on by another."""
+    """Return a detector's record of the sun, by a camera and from some time on by another."""
     directions, (before, after) = sun_directions(times, site), instruments
     moves_at = rng.uniform(0.3, 0.7) * times.size if condition == "moved_mount" else 0.0
     first = np.arange(times.size) < moves_at
@@ -298,7 +298,7 @@ def _lifted(directions: FloatArray, degrees: float) -> FloatArray:
 
 
 def _clouded(rng: np.random.Generator, noise: FloatArray, unit: float) -> tuple[FloatArray, BoolArray]:
-    """Return errors with episodes of cloud that draw detections to one side, a third of the time, and what is kept."""
+    """Return errors with episodes of cloud that draw detections to one side, a third of the time; and the rows kept."""
     count = noise.shape[0]
     covered, episode = np.zeros(count, dtype=bool), np.zeros_like(noise)
     while count and covered.mean() < 0.33:
@@ -354,7 +354,7 @@ def _truth(
     condition: str,
     answerable: bool,
 ) -> BenchmarkTruth:
-    """Return what is true of pixels all over the sky that the camera sees."""
+    """Return the truth of pixels all over the sky that the camera sees."""
     spin, spread = rng.uniform(0.0, 2.0 * math.pi), hemisphere(6 * _QUERIES)
     cosine, sine = math.cos(spin), math.sin(spin)
     every = spread @ np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
@@ -400,7 +400,7 @@ def _fallback(instrument: _Instrument, directions: FloatArray) -> FloatArray:
 
 
 def degrees_to_nearest(directions: FloatArray, sighted: FloatArray) -> FloatArray:
-    """Return (m,): degrees from directions (m, 3) to the nearest of others (n, 3); 180 where there are none."""
+    """Return (m,): degrees from directions (m, 3) to the nearest of others (n, 3); 180 without others."""
     known = sighted[np.all(np.isfinite(sighted), axis=-1)]
     if known.shape[0] == 0:
         return np.full(directions.shape[0], 180.0)

@@ -184,7 +184,7 @@ def read_truth(folder: Path) -> dict[str, BenchmarkTruth]:
 
 
 def read_entry(folder: Path, truths: Mapping[str, BenchmarkTruth]) -> dict[str, Answered]:
-    """Return an entrant's answers by case; what cannot be read is a lost case with a finding.
+    """Return an entrant's answers by case; one that cannot be read is a lost case with a finding.
 
     Raises
     ------
@@ -247,7 +247,7 @@ def _stated_errors(covariance: FloatArray) -> tuple[FloatArray, FloatArray, Floa
 
 
 def _stated(path: Path) -> dict[str, tuple[str, float]]:
-    """Return what an entry says of its cases: a status and the processor's time; nothing where it says nothing."""
+    """Return the statements of an entry about its cases: a status and the processor's time; empty without them."""
     try:
         rows = list(_table(path, ("case", "status")))
     except InputError:
@@ -354,7 +354,7 @@ def _numbers(path: Path, columns: Sequence[str]) -> FloatArray:
 
 
 def _number(text: str) -> float:
-    """Return a number; NaN for what is none, or infinite."""
+    """Return a number; NaN for other values, and for an infinite one."""
     try:
         number = float(text)
     except ValueError:

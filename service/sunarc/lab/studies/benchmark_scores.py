@@ -27,7 +27,7 @@ Answer = Literal["answered", "refused", "failed"]
 SHARES = (0.50, 0.68, 0.95)
 """Within whose stated ellipses the truth is counted."""
 WITHIN: Mapping[float, tuple[float, float]] = {0.50: (0.45, 0.55), 0.68: (0.63, 0.73), 0.95: (0.92, 0.98)}
-"""Between what a share must be found to be as stated."""
+"""Bounds of a share that is as stated."""
 BANDS: Mapping[str, tuple[float, float]] = {
     "0-30": (0.0, 30.0), "30-60": (30.0, 60.0), "60-70": (60.0, 70.0), "70-85": (70.0, 85.0), "85-90": (85.0, 90.0),
 }  # fmt: skip
@@ -43,7 +43,7 @@ _MEDIAN = 2.0 * math.log(2.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Answered:
-    """What an entrant says of one case.
+    """Answer of an entrant to one case.
 
     Attributes
     ----------
@@ -96,7 +96,7 @@ class CaseScore:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BandScore:
-    """The pixels of one band, of all cases: what is lost counts with the error of the fallback.
+    """Score of the pixels of one band, of all cases: a lost case counts with the error of the fallback.
 
     `within` has the share of `SHARES` that lies in the stated ellipses, NaN where none is stated.
     """
@@ -117,7 +117,7 @@ class BandScore:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Score:
-    """All that is said of an entrant.
+    """Score of an entrant.
 
     Attributes
     ----------
@@ -145,7 +145,7 @@ class Score:
 
 
 def answers_of(calibration: Calibration, pixels: FloatArray, *, processor_s: float = math.nan) -> Answered:
-    """Return what a calibration says of pixels (m, 2); a refused one says nothing."""
+    """Return the answers of a calibration about pixels (m, 2); empty for a refused one."""
     directions = unproject(calibration.camera, pixels)
     if not calibration.verdict.accepted:
         return Answered(answer="refused", directions=np.full((len(pixels), 3), np.nan), processor_s=processor_s)
@@ -208,7 +208,7 @@ def score(entrant: str, truths: Mapping[str, BenchmarkTruth], answers: Mapping[s
 
 
 def _rows(name: str, truth: BenchmarkTruth, given: Answered) -> tuple[_Rows, list[Finding]]:
-    """Return the errors of a case, and what is wrong with its numbers."""
+    """Return the errors of a case, and the fault in its numbers."""
     total = truth.directions.shape[0]
     known = np.all(np.isfinite(given.directions), axis=-1) & (given.answer == "answered")
     seen = np.where(known[:, None], given.directions, truth.directions)
@@ -278,7 +278,7 @@ def _case_score(name: str, truth: BenchmarkTruth, given: Answered, rows: _Rows) 
 
 
 def _bands(judged: Sequence[tuple[BenchmarkTruth, Answered, _Rows]]) -> Iterator[BandScore]:
-    """Yield the scores of each band, of what is far from the track, and of all."""
+    """Yield the scores of each band, of the pixels far from the track, and of all."""
     if not judged:
         return
     zenith = np.concatenate([angles_from_direction(truth.directions)[0] for truth, _, _ in judged])
@@ -306,7 +306,7 @@ def _band(name: str, rows: _Rows) -> BandScore:
 
 
 def as_object(one: Score) -> dict[str, Any]:
-    """Return a score as JSON holds it; what is not a number is null."""
+    """Return a score as JSON holds it; a value that is not a number is null."""
 
     def plain(value: object) -> object:
         if isinstance(value, float):

@@ -1,4 +1,4 @@
-"""What the studies write: tables as CSV, figures as PNG. They and `benchmark_files` alone touch the disk."""
+"""Output of the studies: tables as CSV, figures as PNG. They and `benchmark_files` alone touch the disk."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an error of the view direction does to a cloud's height, to its shadow and to a forecast of the irradiance.
+"""Effect of an error of the view direction on a cloud's height, its shadow and a forecast of the irradiance.
 
 Two cameras of one kind, `baseline` apart, see a point of a cloud base. Its height follows from the closest approach of
 both view directions, its shadow from the first camera's direction, the height and the sun. The shadow's edge passes a
@@ -122,7 +122,7 @@ def pair_height(first: FloatArray, second: FloatArray, *, baseline_m: float) -> 
 
 
 def shadow_place(direction: FloatArray, height_m: FloatArray, sun: FloatArray) -> FloatArray:
-    """Return (..., 2): metres east and north of the camera where the shadow falls of what is seen at a height.
+    """Return (..., 2): metres east and north of the camera of the shadow of a cloud at a height.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""How far calibrations are from a known camera over the sky, as numbers and as a picture."""
+"""Errors of calibrations against a known camera over the sky, as numbers and as a picture."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class SkyErrors:
 
 
 def sky_errors(document: Mapping[str, Any], truth: Mapping[str, Any]) -> SkyErrors:
-    """Return the errors of a calibration beside the true camera, both as documents."""
+    """Return the errors of a calibration against the true camera, both as documents."""
     found, true = (from_document(one).camera for one in (document, truth))
     steps = np.linspace(-1.0, 1.0, _SIZE_PX) * _LOWEST_DEG
     west, south = np.meshgrid(steps, steps)
@@ -61,7 +61,7 @@ def sky_errors(document: Mapping[str, Any], truth: Mapping[str, Any]) -> SkyErro
 
 
 def write_picture(errors: Mapping[str, SkyErrors], path: Path) -> None:
-    """Write the maps beside each other as PNG, on one scale from 0 to the largest error.
+    """Write the maps side by side as PNG, on one scale from 0 to the largest error.
 
     Raises
     ------

@@ -31,7 +31,7 @@ COLUMNS = (
     "focal_length_x_px", "focal_length_y_px", "skew_px", "principal_point_x_px", "principal_point_y_px",
     "phi_xz_deg", "theta_zz_deg", "psi_z_deg", "true_arc_rmse_px", "true_sky_rmse_px",
 )  # fmt: skip
-"""Of a row. `sd_px` is Eq. 27c as written, `sd_of_distance_px` what the paper's tables contain; what a source does not
+"""Of a row. `sd_px` is Eq. 27c as written, `sd_of_distance_px` the number in the paper's tables; what a source does not
 tell is left out."""
 
 _INLIER_PX = 0.43
@@ -40,7 +40,7 @@ _INLIER_PX = 0.43
 def study_tables(
     *, methods: Sequence[Method], seed: int = 1, after_each: Callable[[], None] = lambda: None
 ) -> list[TableRow]:
-    """Return for each case what the paper printed, the truth of the simulation, and what each method finds in it.
+    """Return for each case the printed values of the paper, the truth of the simulation, and the fits of each method.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def simulated_case(case: Case, rng: np.random.Generator) -> tuple[Sightings, Sig
 
 
 def fitted_row(case: Case, *, method: Method, seed: int) -> TableRow:
-    """Return what a method finds in a case."""
+    """Return the fit of a case by a method."""
     rng, truth = np.random.default_rng([seed, case.number]), true_camera(0)
     arc, points = simulated_case(case, rng)
     fit = calibrate(
@@ -97,7 +97,7 @@ def truth_row(case: Case) -> TableRow:
 
 
 def published_row(case: Case) -> TableRow:
-    """Return what the paper printed."""
+    """Return the printed values of the paper."""
     return {
         "case": case.number,
         "source": "published",

@@ -61,7 +61,7 @@ _STEPS = 10
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Batch:
-    """What fits of one geometry share: detections at the same moments by cameras like one that is known.
+    """Common data of fits of one geometry: detections at the same moments by cameras like one that is known.
 
     Directions, bins, scales to try and the lens's prior are made once. The search for a start is left out, since all
     begin at the known camera, and so is the uncertainty: what is returned is the camera that `calibrate` returns.
@@ -86,7 +86,7 @@ class Batch:
     def near(
         cls, camera: Camera, points: Sightings, *, site: Site, options: CalibrationOptions, circle: ImageCircle
     ) -> Batch:
-        """Return what the fits of sightings like these share.
+        """Return the common data of the fits of sightings like these.
 
         Parameters
         ----------
@@ -156,7 +156,7 @@ QUANTITIES = (
 """Result of a trial: the true error on the arc (Eq. 28) and over the sky, and four of its parameters."""
 
 _CHUNK = 8
-"""Trials handed to a process at a time: a tenth of a second of work, beside half a millisecond to hand over one."""
+"""Trials handed to a process at a time: a tenth of a second of work, against half a millisecond to hand over one."""
 _CIRCLE_ERROR_PX = 2.0
 """How well a Hough transform finds the image circle, per coordinate."""
 
@@ -195,7 +195,7 @@ def synthetic_arc() -> Sightings:
 
 @cache
 def _batch(method: Method) -> Batch:
-    """Return what all fits by a method share."""
+    """Return the common data of all fits by a method."""
     truth, arc = true_camera(0), synthetic_arc()
     return Batch.near(
         truth,

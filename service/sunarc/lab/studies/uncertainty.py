@@ -27,7 +27,7 @@ QUANTILES: Mapping[str, float] = {"p05": 0.05, "p25": 0.25, "median": 0.5, "p75"
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class UncertaintyStudy:
-    """What the trials came to.
+    """Result of the trials.
 
     Attributes
     ----------
