@@ -13,7 +13,7 @@ import numpy as np
 
 from sunarc.calibration.fit.marginal_likelihood import HyperparameterGrid, log_evidence, log_weights
 from sunarc.calibration.fit.normal_equations import linear_system
-from sunarc.calibration.fit.robust_fit import RobustFit
+from sunarc.calibration.fit.robust_fit import FitState
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve.problem import Bins, FitProblem
 from sunarc.calibration.start.multistart import SMALLEST_SIGMA_PX, distance_sigmas
@@ -32,17 +32,11 @@ class ComparedLens(NamedTuple):
     grid: HyperparameterGrid
 
 
-def log_evidences_of_fits(fits: Mapping[Name, RobustFit], bins: Bins) -> dict[Name, float]:
-    """Return the log evidence of each finished fit over the best one's: 0 for the best, negative for the others.
-
-    Parameters
-    ----------
-    fits : of the same sightings.
-    bins : of these sightings.
-    """
+def log_evidences_of_fits(fits: Mapping[Name, FitState]) -> dict[Name, float]:
+    """Return the log evidence of each finished fit of the same sightings over the best one's, 0 for the best."""
     lenses = {name: ComparedLens(one.problem, one.observed, one.unknowns, one.grid) for name, one in fits.items()}
     best = fits[closest(lenses)]
-    return log_evidences(lenses, bins, best.noise.information(best.observed))
+    return log_evidences(lenses, best.groups.bins, best.noise.information(best.observed))
 
 
 def closest(lenses: Mapping[Name, ComparedLens]) -> Name:

@@ -15,9 +15,8 @@ import numpy as np
 
 from sunarc.calibration.compared_fits import log_evidences_of_fits
 from sunarc.calibration.fit.assemble import Job
-from sunarc.calibration.fit.robust_fit import RobustFit, fit_robustly
+from sunarc.calibration.fit.robust_fit import FitState, fit_robustly
 from sunarc.calibration.model.sightings import Kind, filter_sightings
-from sunarc.calibration.noise import NoiseGroups
 from sunarc.calibration.plausible_start import Hand, Start, plausible_start
 from sunarc.calibration.quality.tilt import LEVEL_DEG, mount_density, tilt_deg
 from sunarc.calibration.verdict import before_fit, below_horizon
@@ -37,7 +36,7 @@ class Fitted(NamedTuple):
     """The robust fit of one handedness, and its start."""
 
     start: Start
-    fit: RobustFit
+    fit: FitState
 
 
 class HandChoice(NamedTuple):
@@ -121,7 +120,7 @@ def gain_of_other(fitted: Fitted, other: Fitted, job: Job) -> float:
     0 where neither camera comes near the sightings, so that they tell nothing.
     """
     both = {False: fitted.fit, True: other.fit}
-    evidence = log_evidences_of_fits(both, NoiseGroups.of(job.usable).bins)
+    evidence = log_evidences_of_fits(both)
     limit_deg = job.options.level_within_deg
     mounts = _log_density(other.fit, limit_deg) - _log_density(fitted.fit, limit_deg)
     gain = evidence[True] - evidence[False] + mounts
@@ -141,13 +140,13 @@ def log_odds_against_twin(fitted: Fitted, job: Job) -> float:
 
 def _tilt_deg(fitted: Fitted) -> float:
     """Return the tilt of the last pose of a fit."""
-    return tilt_deg(fitted.fit.problem.camera(fitted.fit.unknowns, fitted.fit.problem.n_epochs - 1))
+    return tilt_deg(fitted.fit.camera())
 
 
-def _log_density(fit: RobustFit, limit_deg: float | None) -> float:
+def _log_density(fit: FitState, limit_deg: float | None) -> float:
     """Return the log density of a mount that holds the optical axis of the last pose, its tilt's limit being stated."""
-    camera = fit.problem.camera(fit.unknowns, fit.problem.n_epochs - 1)
-    return math.log(float(mount_density(rotation_matrix(camera.rotation_cam_enu)[2], limit_deg=limit_deg)))
+    axis = rotation_matrix(fit.camera().rotation_cam_enu)[2]
+    return math.log(float(mount_density(axis, limit_deg=limit_deg)))
 
 
 def _other(hand: Hand) -> Hand:

@@ -114,7 +114,7 @@ class ChosenLens(NamedTuple):
         """
         if self.choice is None or not self.choice.compared:
             return calibration
-        cameras = [fitted_camera(self.fits[name]) for name in self.choice.possible if name in self.fits]
+        cameras = [self.fits[name].fit.camera() for name in self.choice.possible if name in self.fits]
         widened, off_deg = _with_differences(calibration, cameras)
         verdict, finding = widened.verdict, self.choice.finding(off_deg)
         judged = JudgedFit(calibration=widened, usable=self.job.usable, options=self.job.options)
@@ -153,11 +153,6 @@ def options_as_served(options: CalibrationOptions, served: Calibration | None) -
 def _with_sigma(finding: Finding, sigma_deg: float) -> Finding:
     """Return a finding, that of the stated uncertainty with another value."""
     return Finding(finding.code, {"sigma_deg": sigma_deg}) if finding.code == "direction_sigma" else finding
-
-
-def fitted_camera(fitted: Fitted) -> Camera:
-    """Return the camera of the last pose of a fit."""
-    return fitted.fit.problem.camera(fitted.fit.unknowns, fitted.fit.problem.n_epochs - 1)
 
 
 def _with_differences(calibration: Calibration, others: Sequence[Camera]) -> tuple[Calibration, float]:
@@ -232,7 +227,7 @@ def compare_projections(job: Job) -> tuple[ProjectionChoice, dict[Projection, Fi
         name: Fitted(starts[name], fit_robustly(observed, starts[name].cameras, jobs[name].options, job.circle))
         for name in near
     }
-    exact = log_evidences_of_fits({name: one.fit for name, one in fits.items()}, groups.bins)
+    exact = log_evidences_of_fits({name: one.fit for name, one in fits.items()})
     return _choice({**rough, **exact}, len(observed)), fits
 
 

@@ -13,11 +13,9 @@ from tests.fixtures.calibration import observed, small_camera, small_problem, sp
 from sunarc.calibration.fit.cross_validation import Doubts, HeldOut, chi_square_limit, doubts, held_out, without_parts
 from sunarc.calibration.fit.marginal_likelihood import Scales, marginal_fit, scale_grid
 from sunarc.calibration.fit.normal_equations import linear_system, most_probable_with_field
-from sunarc.calibration.fit.posterior import PosteriorCovariance
-from sunarc.calibration.fit.robust_fit import RobustFit
-from sunarc.calibration.model.residual_field import Field
+from sunarc.calibration.fit.robust_fit import FitState
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.noise import Noise
+from sunarc.calibration.noise import Noise, NoiseGroups
 from sunarc.calibration.solve.problem import Bins
 
 FloatArray = NDArray[np.float64]
@@ -28,7 +26,7 @@ SCALES = Scales(0.002, 120.0, 2.0, 0.7)
 
 def _fit(
     n_days: int, *, sigma_px: float = 0.2, stated_px: float = 0.2, seed: int = 1, with_field: bool = False
-) -> tuple[RobustFit, Sightings]:
+) -> tuple[FitState, Sightings]:
     """Return a fit of days whose sightings are spread over the sky, with known scales."""
     n = n_days * PER_DAY
     camera = replace(small_camera(), focal_length_px=(220.5, 220.5), skew_px=0.0)  # as the prior expects
@@ -42,24 +40,7 @@ def _fit(
     system = linear_system(problem, seen, bins, at, information=information, basis=grid.basis)
     unknowns = most_probable_with_field(problem, system, SCALES).unknowns
     system = linear_system(problem, seen, bins, unknowns, information=information, basis=grid.basis)
-    fit = marginal_fit(system.normal(), grid.basis, SCALES)
-    robust = RobustFit(
-        problem=problem,
-        observed=seen,
-        member=bins.member,
-        system=system,
-        unknowns=unknowns,
-        posterior=PosteriorCovariance(
-            fit.covariance,
-            Field(amplitude_px=SCALES.amplitude_px, length_px=SCALES.length_px, basis=grid.basis, cross=fit.cross),
-        ),
-        scales=SCALES,
-        grid=grid,
-        residual=problem.residuals(unknowns, seen),
-        field_mean=fit.coefficients if with_field else None,
-        noise=Noise(scale=np.full(n, stated_px), weight=np.ones(n), inflation=np.ones(n), sigma_px=stated_px),
-        log_odds={},
-    )
+    noise = Noise(scale=np.full(n, stated_px), weight=np.ones(n), inflation=np.ones(n), sigma_px=stated_px)
     usable = Sightings(
         index=np.arange(n),
         unix_s=np.arange(n, dtype=np.float64),
@@ -70,14 +51,33 @@ def _fit(
         day=np.repeat(np.arange(n_days), PER_DAY),
         refraction_sd=np.zeros((n, 1)),
     )
+    robust = FitState(
+        problem=problem,
+        observed=seen,
+        groups=NoiseGroups.of(usable)._replace(bins=bins),
+        unknowns=unknowns,
+        scales=SCALES,
+        grid=grid,
+        noise=noise,
+        last_round=system,
+        scatter=problem.residuals(unknowns, seen),
+        field_odds=1.0 if with_field else -1.0,
+    )
     return robust, usable
 
 
-def _held_out(fit: RobustFit, usable: Sightings) -> HeldOut | None:
+def _with(fit: FitState, **derived: object) -> FitState:
+    """Return a fit of which something that follows from it is another one."""
+    other = replace(fit)
+    vars(other).update({name: getattr(fit, name) for name in ("system", "residual", "field_mean")} | derived)
+    return other
+
+
+def _held_out(fit: FitState, usable: Sightings) -> HeldOut | None:
     return held_out(fit, usable, without_parts(fit, usable))
 
 
-def _doubts(fit: RobustFit, usable: Sightings) -> Doubts:
+def _doubts(fit: FitState, usable: Sightings) -> Doubts:
     return doubts(fit, usable, without_parts(fit, usable))
 
 
@@ -125,7 +125,7 @@ def test_sightings_without_weight_do_not_count() -> None:
     weight[::3] = 0.0
     wild = fit.residual.copy()
     wild[::3] = 1e3
-    found = _held_out(replace(fit, noise=replace(fit.noise, weight=weight), residual=wild), usable)
+    found = _held_out(_with(replace(fit, noise=replace(fit.noise, weight=weight)), residual=wild), usable)
     assert found is not None
     assert found.rmse_px < 1.0
 
@@ -153,8 +153,8 @@ def test_the_field_of_the_other_days_is_part_of_the_prediction() -> None:
     larger = Scales(0.5, 120.0, 2.0, 0.7)
     bent = 0.6 * np.stack([np.sin(usable.pixels[:, 0] / 90.0), np.cos(usable.pixels[:, 1] / 90.0)], axis=-1)
     moved = replace(fit.system, residual=fit.system.residual + bent)
-    fit = replace(fit, system=moved, scales=larger, residual=fit.residual + bent)
-    with_field, camera_alone = _held_out(fit, usable), _held_out(replace(fit, field_mean=None), usable)
+    fit = _with(replace(fit, scales=larger), system=moved, residual=fit.residual + bent)
+    with_field, camera_alone = _held_out(fit, usable), _held_out(_with(fit, field_mean=None), usable)
     assert with_field is not None
     assert camera_alone is not None
     # 0.28 px are the noise; 120 sightings tell most of the field
@@ -171,7 +171,7 @@ def test_parts_are_predicted_within_chance_and_a_part_from_elsewhere_is_not() ->
     assert found.rmse_px == pytest.approx(found.stated_px, rel=0.3)
     last = usable.day == 3
     moved = fit.system.residual + np.where(np.bincount(fit.member[last], minlength=80) > 0, 5.0, 0.0)[:, None]
-    elsewhere = _doubts(replace(fit, system=replace(fit.system, residual=moved)), usable)
+    elsewhere = _doubts(_with(fit, system=replace(fit.system, residual=moved)), usable)
     assert elsewhere.excess > 3.0
     assert elsewhere.rmse_px > 5.0
     assert elsewhere.rmse_px > elsewhere.stated_px
@@ -183,7 +183,7 @@ def test_a_part_that_is_missed_by_less_than_is_stated_widens_and_contradicts_not
     pose, last = fit.problem.pose_slice(0), usable.day == 3
     of_turn = fit.system.rows[..., pose] @ np.radians([0.03, 0.0, 0.0])
     moved = np.where((np.bincount(fit.member[last], minlength=80) > 0)[:, None], of_turn, 0.0)
-    found = _doubts(replace(fit, system=replace(fit.system, residual=fit.system.residual + moved)), usable)
+    found = _doubts(_with(fit, system=replace(fit.system, residual=fit.system.residual + moved)), usable)
     assert found.rmse_px < found.stated_px
     assert found.excess == 0.0
     assert 1.5 < found.widening < 5.0
@@ -195,11 +195,11 @@ def test_a_part_that_says_nothing_of_the_camera_is_not_judged() -> None:
     fit, usable = _fit(4)
     silent = (np.arange(len(usable)) < PER_DAY)[np.unique(fit.member, return_index=True)[1]]
     system = replace(fit.system, rows=np.where(silent[:, None, None], 0.0, fit.system.rows))
-    of_others = replace(fit, system=system)
+    of_others = _with(fit, system=system)
     found = doubts(of_others, usable, without_parts(of_others, usable))
     assert found.n > 0
     assert found.excess < 0.9
-    nothing = replace(fit, system=replace(fit.system, rows=0.0 * fit.system.rows))
+    nothing = _with(fit, system=replace(fit.system, rows=0.0 * fit.system.rows))
     assert doubts(nothing, usable, without_parts(nothing, usable)) == doubts(fit, usable, [])
 
 
@@ -208,7 +208,7 @@ def test_a_day_whose_camera_is_turned_shows_by_how_much() -> None:
     pose, last = fit.problem.pose_slice(0), usable.day == 3
     of_turn = fit.system.rows[..., pose] @ np.radians([0.3, 0.0, 0.0])
     moved = np.where((np.bincount(fit.member[last], minlength=80) > 0)[:, None], of_turn, 0.0)
-    turned = _doubts(replace(fit, system=replace(fit.system, residual=fit.system.residual + moved)), usable)
+    turned = _doubts(_with(fit, system=replace(fit.system, residual=fit.system.residual + moved)), usable)
     assert turned.turned > 30.0
     assert turned.excess > 1.0
     plain = _doubts(fit, usable)

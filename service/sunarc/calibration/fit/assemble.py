@@ -21,7 +21,7 @@ from sunarc.calibration.fit.effects import (
     SWAY_DEG,
     SWAYS,
 )
-from sunarc.calibration.fit.robust_fit import RobustFit
+from sunarc.calibration.fit.robust_fit import FitState
 from sunarc.calibration.model import result
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.residual_field import Field
@@ -224,7 +224,7 @@ def unseen_field(camera: Camera, *, size: int, amplitude_px: float = 0.0, length
 # From the robust rounds to what every method hands over.
 
 
-def robust_outcome(fit: RobustFit, usable: Sightings, options: CalibrationOptions, *, parts: bool = True) -> FitOutcome:
+def robust_outcome(fit: FitState, usable: Sightings, options: CalibrationOptions, *, parts: bool = True) -> FitOutcome:
     """Return the cameras of all epochs, and the covariance and field of the last one's.
 
     `parts`: whether parts of the sightings are held against the fit; its covariance is widened where they ask for it.
@@ -265,7 +265,7 @@ def robust_outcome(fit: RobustFit, usable: Sightings, options: CalibrationOption
     )
 
 
-def _sways_deg(fit: RobustFit, usable: Sightings) -> tuple[float, float, float]:
+def _sways_deg(fit: FitState, usable: Sightings) -> tuple[float, float, float]:
     """Return how far the mount stands turned on a day, 1-sigma about east, north and up; 0 where it is not proven."""
     if not result.proves(SWAYS, fit.log_odds.get(SWAYS, 0.0)):
         return 0.0, 0.0, 0.0
@@ -275,7 +275,7 @@ def _sways_deg(fit: RobustFit, usable: Sightings) -> tuple[float, float, float]:
     return _three(SWAY_DEG * np.sqrt(np.mean(square, axis=0) * np.unique(usable.day).size / len(square)))
 
 
-def _season_share(fit: RobustFit, usable: Sightings) -> dict[str, float]:
+def _season_share(fit: FitState, usable: Sightings) -> dict[str, float]:
     """Return the relative change of the focal length within the record; nothing where it is not proven."""
     proven = [
         one
@@ -293,7 +293,7 @@ def _season_share(fit: RobustFit, usable: Sightings) -> dict[str, float]:
     return {"season_share": float(np.ptp(changes[square >= np.median(square)]))}
 
 
-def _night_difference(fit: RobustFit, usable: Sightings) -> result.NightDifference | None:
+def _night_difference(fit: FitState, usable: Sightings) -> result.NightDifference | None:
     """Return the systematic errors of the night, as found."""
     pose, star = (fit.problem.block_slice(name) for name in ("night_pose", "night_offset"))
     if "night_pose" not in fit.problem.names:

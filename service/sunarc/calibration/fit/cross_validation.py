@@ -13,7 +13,7 @@ import numpy as np
 from sunarc.calibration.answers.covariance import project_with_covariance, seen_sky
 from sunarc.calibration.fit.marginal_likelihood import MarginalFit, field_at, inverses, marginal_fit, prior_precision
 from sunarc.calibration.fit.posterior import prediction_variance, shown_sky
-from sunarc.calibration.fit.robust_fit import RobustFit, leverage_of
+from sunarc.calibration.fit.robust_fit import FitState, leverage_of
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Kind, Sightings
 from sunarc.common.array_types import BoolArray, FloatArray
@@ -63,7 +63,7 @@ class _Without(NamedTuple):
     rows: FloatArray
 
 
-def without_parts(fit: RobustFit, usable: Sightings) -> list[_Without]:
+def without_parts(fit: FitState, usable: Sightings) -> list[_Without]:
     """Return the fits without each part of the sightings; a pose that no other part has cannot be predicted.
 
     Parts are thirds of a day, or of several days whole ones, in five groups at most.
@@ -107,7 +107,7 @@ class HeldOut(NamedTuple):
     expected_px: float
 
 
-def held_out(fit: RobustFit, usable: Sightings, parts: Sequence[_Without]) -> HeldOut | None:
+def held_out(fit: FitState, usable: Sightings, parts: Sequence[_Without]) -> HeldOut | None:
     """Return the cross-validation over whole days, see `without_parts`; None with fewer than two that say something."""
     if np.unique(usable.day).size < 2:
         return None
@@ -176,7 +176,7 @@ class _Part(NamedTuple):
         return self.rmse_px > self.stated_px or (self.turned > _TURNED and self.turn_deg > _SWAYS_DEG)
 
 
-def doubts(fit: RobustFit, usable: Sightings, without: Sequence[_Without]) -> Doubts:
+def doubts(fit: FitState, usable: Sightings, without: Sequence[_Without]) -> Doubts:
     """Return how well fits without a part of the sightings predict it, see `without_parts`.
 
     All that a part says of lens, pose and field are few numbers; where what is stated holds, their errors are
@@ -240,7 +240,7 @@ def chi_square_limit(n: int, chance: float) -> float:
     return low + high
 
 
-def _met(without: _Without, fit: RobustFit, usable: Sightings, judged: BoolArray) -> _Part:
+def _met(without: _Without, fit: FitState, usable: Sightings, judged: BoolArray) -> _Part:
     """Return how a fit predicts the judged (n,) sightings of the part that it is without."""
     sun = np.bincount(fit.member[judged], minlength=without.bins.size)[without.bins] > 0
     rows, information = without.rows[sun], fit.system.observed.information[without.bins][sun]
@@ -270,7 +270,7 @@ def _met(without: _Without, fit: RobustFit, usable: Sightings, judged: BoolArray
     )
 
 
-def _turn(factor: FloatArray, joint: FloatArray, said: FloatArray, fit: RobustFit, pose: int) -> tuple[float, float]:
+def _turn(factor: FloatArray, joint: FloatArray, said: FloatArray, fit: FitState, pose: int) -> tuple[float, float]:
     """Return how surely errors (k,) of covariance (k, k) speak for a turn of a pose, and the turn in degrees."""
     columns = factor[fit.problem.pose_slice(pose)]
     weighed = np.linalg.solve(joint, np.column_stack([columns.T, said]))
@@ -296,7 +296,7 @@ _SUN_SCATTER = 1.15
 """Scatter of the sun's track beside the fit of both over that beside its own fit."""
 
 
-def contradiction(fit: RobustFit, usable: Sightings) -> Finding | None:
+def contradiction(fit: FitState, usable: Sightings) -> Finding | None:
     """Return what of the night contradicts the day, with value and limit; None where nothing does."""
     night = usable.night
     if "night_pose" not in fit.problem.names:
@@ -360,7 +360,7 @@ def _apart(one: Calibration, other: Calibration) -> float:
     return math.sqrt(float(np.sum(square[both])) / max(float(np.sum(variance[both])), 1e-12))
 
 
-def _sun_scatter(fit: RobustFit, alone: MarginalFit, usable: Sightings, of_day: BoolArray) -> tuple[float, float]:
+def _sun_scatter(fit: FitState, alone: MarginalFit, usable: Sightings, of_day: BoolArray) -> tuple[float, float]:
     """Return the scatter of the track beside the fit of both over that beside the day's own, and the largest by chance.
 
     Each is over its degrees of freedom: few suns are followed by a fit of their own alone. The fit of both is one of
@@ -391,7 +391,7 @@ def _sun_scatter(fit: RobustFit, alone: MarginalFit, usable: Sightings, of_day: 
     return value, max(_SUN_SCATTER, math.sqrt(by_chance))
 
 
-def _change_over_the_sky(fit: RobustFit, alone: MarginalFit) -> float:
+def _change_over_the_sky(fit: FitState, alone: MarginalFit) -> float:
     """Return how far the two fits are apart over the sky, in units of what the day's states."""
     _, pixels, rows = shown_sky(fit.problem, fit.unknowns)
     change = rows @ (alone.unknowns - fit.system.at)

@@ -9,10 +9,9 @@ import numpy as np
 
 from sunarc.calibration.fit.marginal_likelihood import log_evidence, log_weights
 from sunarc.calibration.fit.normal_equations import linear_system
-from sunarc.calibration.fit.robust_fit import RobustFit
+from sunarc.calibration.fit.robust_fit import FitState
 from sunarc.calibration.model.sightings import Kind
 from sunarc.calibration.quality.tilt import Place, level_place, tilt_question
-from sunarc.calibration.solve.problem import Bins
 from sunarc.common.array_types import BoolArray, FloatArray
 from sunarc.optics.camera import Camera
 from sunarc.optics.pose import rotation_matrix
@@ -28,7 +27,7 @@ _MOST_BELOW = 0.03
 """Share of sightings that may be of a sun below the horizon: false ones at dusk."""
 
 
-def log_odds_of_tilt(fit: RobustFit, camera: Camera, site: Site) -> float | None:
+def log_odds_of_tilt(fit: FitState, camera: Camera, site: Site) -> float | None:
     """Return the natural log odds of a fit's camera against the most probable one that is level at another place.
 
     The sightings are the same, and the sky is turned as a whole: only the refraction of the sun's light differs.
@@ -65,7 +64,7 @@ def _near(level: Place) -> list[Place]:
     return found
 
 
-def _directions(fit: RobustFit, site: Site, place: Place) -> FloatArray | None:
+def _directions(fit: FitState, site: Site, place: Place) -> FloatArray | None:
     """Return (n, 3): apparent directions at a place in the axes of the site; None where the sun was below the horizon.
 
     Sightings of other bodies keep theirs.
@@ -84,7 +83,7 @@ def _directions(fit: RobustFit, site: Site, place: Place) -> FloatArray | None:
     return directions
 
 
-def _of_sun(fit: RobustFit) -> BoolArray:
+def _of_sun(fit: FitState) -> BoolArray:
     """Return (n,): whether a sighting's direction is that of the sun's path."""
     return np.asarray((fit.observed.kind == Kind.SUN) & ~fit.observed.alone)
 
@@ -96,14 +95,11 @@ def _axes(place: Place) -> FloatArray:
     return np.asarray(rotation_matrix((latitude - 0.5 * math.pi, 0.0, 0.0)) @ about_pole)
 
 
-def _log_evidence(fit: RobustFit, directions: FloatArray | None) -> float:
+def _log_evidence(fit: FitState, directions: FloatArray | None) -> float:
     """Return the log evidence of the sightings where the sun was in some directions."""
     if directions is None:
         return -math.inf
-    observed, bins = (
-        replace(fit.observed, directions=directions),
-        Bins(member=fit.member, count=int(fit.member.max()) + 1),
-    )
+    observed, bins = replace(fit.observed, directions=directions), fit.groups.bins
     information = fit.noise.information(fit.observed)
     system = linear_system(fit.problem, observed, bins, fit.unknowns, information=information, basis=fit.grid.basis)
     return log_evidence(log_weights(system.normal(), fit.grid))

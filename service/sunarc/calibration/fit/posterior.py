@@ -238,14 +238,14 @@ def stated_posterior(
     scales : those of the fit.
     mean : (2, m) coefficients of the field that is part of the prediction; None: it has no part in it, and its errors
         are those before any sighting.
-    stretched : the probability that pixels are not square, whose prior the problem has not.
+    stretched : the probability that pixels are not square, of which the problem may have the prior already.
     """
     normal, products = system.normal(), of_products(problem, system, scales, grid)
     sums = field_sums(normal, grid)
     choices = plausible(sums, grid, unknowns, mean, products)
-    if stretched > _NEGLIGIBLE_SHARE:
-        wide = with_wide_pixels(problem.prior).basis[STRETCH, STRETCH]
-        square = (problem.prior.basis[STRETCH, STRETCH] / wide) ** 2
+    wide = with_wide_pixels(problem.prior).basis[STRETCH, STRETCH]
+    square = (problem.prior.basis[STRETCH, STRETCH] / wide) ** 2
+    if stretched > _NEGLIGIBLE_SHARE and np.any(square != 1.0):
         choices = choices.mixed(plausible(sums, grid, unknowns, mean, products, square=square), stretched)
     power = choices.share * choices.amplitude**2
     amplitude = math.sqrt(float(power.sum()))

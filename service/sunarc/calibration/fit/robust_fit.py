@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -42,7 +43,7 @@ from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.noise import Noise, NoiseGroups, measured_noise
 from sunarc.calibration.solve.levenberg_marquardt import information as information_of
 from sunarc.calibration.solve.priors import DECENTERING, RADIAL, STRETCH, Whitened, with_wide_pixels
-from sunarc.calibration.solve.problem import Bins, FitProblem
+from sunarc.calibration.solve.problem import FitProblem
 from sunarc.calibration.start import multistart
 from sunarc.calibration.start.initial_guess import single_problem
 from sunarc.calibration.start.multistart import SMALLEST_SIGMA_PX, best_of_starts, best_start, distance_sigmas, lowest
@@ -143,65 +144,100 @@ _FIELD_BOUNDS = 4
 """How often the largest field is made smaller; 1 px is 0.004 px then, the floor's size."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RoundState:
-    """Where the rounds stand, the log odds of a field, and what the last round gained in twice the log posterior.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FitState:
+    """State of a robust fit: where its rounds stand, and the answer that follows from it."""
 
-    leverage : (n,) see `leverage_of`. block_odds: log odds of each shared error.
-    """
-
+    problem: FitProblem
+    """The camera sought, with the blocks of the errors that sightings share."""
+    observed: Sightings
+    """The sightings, with what the errors that they share displace them by."""
+    groups: NoiseGroups
+    """Groups of the sightings."""
+    grid: HyperparameterGrid
+    """The scales that are tried, and the field's basis functions."""
     unknowns: FloatArray
-    residuals: FloatArray
+    """(p,) The most probable unknowns."""
     scales: Scales
-    field_odds: float = -math.inf
-    gain: float = math.inf
+    """The scales that they were found with."""
+    noise: Noise
+    """The noise of each sighting, by which the last round weighed them."""
+    last_round: LinearSystem
+    """The bins' equations of the last round."""
+    scatter: FloatArray
+    """(n, 2) px: residuals without what the field explains."""
     leverage: FloatArray | None = None
+    """(n,) see `leverage_of`; None where each sighting has little."""
+    field_odds: float = -math.inf
+    """Log odds of a field."""
     block_odds: dict[str, float] = field(default_factory=dict)
+    """Log odds of each shared error."""
+    gain: float = math.inf
+    """Gain of the last round in twice the log posterior."""
 
     @property
     def proven_field_px(self) -> float:
         """The field's 1-sigma where the sightings prove one, else 0."""
         return self.scales.amplitude_px if self.field_odds > STRONG_EVIDENCE else 0.0
 
+    @property
+    def member(self) -> IntArray:
+        """(n,) The bin of each sighting."""
+        return self.groups.bins.member
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RobustCamera:
-    """The camera of a robust fit, and all that its uncertainty follows from.
+    @cached_property
+    def system(self) -> LinearSystem:
+        """The bins' equations about the unknowns."""
+        weighed = replace(self.observed, information=self.noise.information(self.observed))
+        return system_about(self.problem, weighed, self.groups.bins, self.last_round, self.unknowns)
 
-    Attributes
-    ----------
-    problem : of the fit.
-    unknowns : (p,) the most probable ones.
-    state, noise : as the last round left them.
-    grid : the scales that were tried.
-    last_round : the bins' equations of the last round.
-    """
+    @cached_property
+    def normal(self) -> NormalEquations:
+        """The sums over the bins about the unknowns."""
+        return self.system.normal()
 
-    problem: FitProblem
-    unknowns: FloatArray
-    state: RoundState
-    noise: Noise
-    grid: HyperparameterGrid
-    last_round: LinearSystem
+    @cached_property
+    def residual(self) -> FloatArray:
+        """(n, 2) px: observed minus modelled by the lens alone."""
+        return self.problem.residuals(self.unknowns, self.observed)
 
-    def system(self, observed: Sightings, bins: Bins) -> LinearSystem:
-        """Return the bins' equations about the camera."""
-        weighed = replace(observed, information=self.noise.information(observed))
-        return system_about(self.problem, weighed, bins, self.last_round, self.unknowns)
+    @cached_property
+    def field_mean(self) -> FloatArray | None:
+        """(2, m) Coefficients of the most probable field; None where none is more probable."""
+        return field_at(self.normal, self.grid.basis, self.scales) if self.field_odds > 0.0 else None
 
-    def field_mean(self, normal: NormalEquations) -> FloatArray | None:
-        """Return the field's coefficients (2, m) by the sums about the camera; None where none is more probable."""
-        return field_at(normal, self.grid.basis, self.state.scales) if self.state.field_odds > 0.0 else None
+    @cached_property
+    def log_odds(self) -> dict[str, float]:
+        """Log odds of the parts of the model, see `Provenance`."""
+        parts = log_odds_of_parts(self.normal, self.grid.basis, self.scales)
+        return {**parts, "field": self.field_odds, **self.block_odds}
+
+    @cached_property
+    def posterior(self) -> PosteriorCovariance:
+        """The covariance of the unknowns and the field's part in it, over all plausible scales."""
+        return stated_posterior(
+            self.problem,
+            self.system,
+            self.unknowns,
+            grid=self.grid,
+            scales=self.scales,
+            mean=self.field_mean,
+            stretched=probability(self.block_odds.get(PIXELS, -math.inf)),
+        )
+
+    def camera(self) -> Camera:
+        """Return the camera of the last pose."""
+        return self.problem.camera(self.unknowns, self.problem.n_epochs - 1)
 
 
-def robust_camera(
+def robust_rounds(
     problem: FitProblem,
     observed: Sightings,
     plain: FloatArray,
     *,
     groups: NoiseGroups,
     grid: HyperparameterGrid,
-) -> RobustCamera:
+) -> FitState:
     """Return the fit beside a field from the robust fit without one.
 
     Parameters
@@ -215,20 +251,12 @@ def robust_camera(
     plain = np.concatenate([plain, np.zeros(problem.n_unit)])
     for name in sorted(problem.names & {*SEASONS, SWAYS}):
         plain = _begun(problem, observed, plain, name)
-    state, noise, grid, last_round = _with_field(problem, observed, plain, grid, groups)
-    informed = replace(observed, information=noise.information(observed))
-    problem, state = _with_proven(problem, informed, groups.bins, last_round, state, grid)
-    unknowns = state.unknowns
+    state = _with_proven(_with_field(problem, observed, plain, grid, groups))
     # weighed before the camera's last step, which may bring the edge of what it shows past a low sun
-    shown = is_shown(problem.residuals(unknowns, observed))
-    return RobustCamera(
-        problem=problem,
-        unknowns=unknowns,
-        state=state,
-        noise=replace(noise, weight=noise.weight * shown),
-        grid=grid,
-        last_round=last_round,
-    )
+    shown = is_shown(state.residual)
+    noise = replace(state.noise, weight=state.noise.weight * shown)
+    # a field that was bounded for the camera's sake is possible all the same
+    return replace(state, noise=noise, grid=grid)
 
 
 def _begun(problem: FitProblem, observed: Sightings, unknowns: FloatArray, name: str) -> FloatArray:
@@ -249,8 +277,8 @@ def _begun(problem: FitProblem, observed: Sightings, unknowns: FloatArray, name:
 
 def _with_field(
     problem: FitProblem, observed: Sightings, plain: FloatArray, grid: HyperparameterGrid, groups: NoiseGroups
-) -> tuple[RoundState, Noise, HyperparameterGrid, LinearSystem]:
-    """Return the rounds' answer, the grid of scales that it took, and the last round's equations.
+) -> FitState:
+    """Return the rounds' answer.
 
     The mean of a field that is more probable than none is part of the prediction (decision 0008). One that lets the
     camera itself miss the sightings has taken over what the lens's parameters explain: it is bounded more tightly, and
@@ -259,57 +287,59 @@ def _with_field(
     distance = multistart.distance_sigmas(problem, observed, plain)
     share = surely_well_behaved(len(observed), problem.size - problem.n_unit)
     sigma, weight = robust_sigma(distance, share=share, floor=multistart.SMALLEST_SIGMA_PX), finest_weight(observed)
-    state, noise, system = _rounds(problem, observed, plain, grid, groups)
+    state = _rounds(problem, observed, plain, grid, groups)
     for _ in range(_FIELD_BOUNDS):
         level = allowed_level(
             distance, sigma=sigma, field_px=state.proven_field_px, weight=weight, cost_ratio=_FIELD_MAY_COST
         )
         if level.reached_by(multistart.distance_sigmas(problem, observed, state.unknowns)):
             break
-        grid = grid.up_to(_FIELD_SHRINKS * state.scales.amplitude_px)
-        state, noise, system = _rounds(problem, observed, plain, grid, groups)
-    return state, noise, grid, system
+        bounded = state.grid.up_to(_FIELD_SHRINKS * state.scales.amplitude_px)
+        state = _rounds(problem, observed, plain, bounded, groups)
+    return state
 
 
 def _rounds(
-    problem: FitProblem, observed: Sightings, unknowns: FloatArray, grid: HyperparameterGrid, groups: NoiseGroups
-) -> tuple[RoundState, Noise, LinearSystem]:
-    first = Scales(_FIRST_FIELD_PX, float(grid.lengths[0]), LOOSE_RADIAL_PX, LOOSE_DECENTERING_PX)
-    state = RoundState(unknowns=unknowns, residuals=problem.residuals(unknowns, observed), scales=first)
-    noise, system = _round(problem, observed, state, grid, groups)
-    state = _judged(problem, observed, system, state, groups.bins)
+    problem: FitProblem, observed: Sightings, plain: FloatArray, grid: HyperparameterGrid, groups: NoiseGroups
+) -> FitState:
+    state = _begin(problem, observed, plain, grid, groups)
     for _ in range(1, _ROUNDS):
-        noise, system = _round(problem, observed, state, grid, groups)
-        state = _improved(problem, observed, system, grid, groups.bins)
+        state = _improved(state)
         if state.gain <= 0.0:
             break  # where a round does not move the camera, a further one changes nothing
-    return state, noise, system
+    return state
 
 
-def _round(
-    problem: FitProblem, observed: Sightings, state: RoundState, grid: HyperparameterGrid, groups: NoiseGroups
-) -> tuple[Noise, LinearSystem]:
-    """Return the noise as a state shows it, and the equations with the sightings weighed by it."""
-    noise = measured_noise(state.residuals, observed, groups, leverage=state.leverage)
+def _begin(
+    problem: FitProblem, observed: Sightings, plain: FloatArray, grid: HyperparameterGrid, groups: NoiseGroups
+) -> FitState:
+    """Return the state of a camera beside which a large field explains what it can."""
+    scales = Scales(_FIRST_FIELD_PX, float(grid.lengths[0]), LOOSE_RADIAL_PX, LOOSE_DECENTERING_PX)
+    residuals = problem.residuals(plain, observed)
+    noise = measured_noise(residuals, observed, groups)
     information = noise.information(observed)
-    return noise, linear_system(
-        problem, observed, groups.bins, state.unknowns, information=information, basis=grid.basis
+    system = linear_system(problem, observed, groups.bins, plain, information=information, basis=grid.basis)
+    marginal = marginal_fit(system.normal(), system.basis, scales)
+    explained = system.rows @ (marginal.unknowns - system.at) + system.basis_values @ marginal.coefficients.T
+    return FitState(
+        problem=problem,
+        observed=observed,
+        groups=groups,
+        grid=grid,
+        unknowns=plain,
+        scales=scales,
+        noise=noise,
+        last_round=system,
+        scatter=residuals - explained[groups.bins.member],
     )
 
 
-def _judged(
-    problem: FitProblem, observed: Sightings, system: LinearSystem, state: RoundState, bins: Bins
-) -> RoundState:
-    """Return the state with what a large field beside the model leaves over; the camera stays."""
-    marginal = marginal_fit(system.normal(), system.basis, state.scales)
-    explained = system.rows @ (marginal.unknowns - system.at) + system.basis_values @ marginal.coefficients.T
-    return replace(state, residuals=problem.residuals(state.unknowns, observed) - explained[bins.member])
-
-
-def _improved(
-    problem: FitProblem, observed: Sightings, system: LinearSystem, grid: HyperparameterGrid, bins: Bins
-) -> RoundState:
-    """Return the state after a solve with the scales that the data speak for."""
+def _improved(state: FitState) -> FitState:
+    """Return the state after a solve with the noise that it shows, and the scales that the data speak for."""
+    problem, observed, grid, bins = state.problem, state.observed, state.grid, state.groups.bins
+    noise = measured_noise(state.scatter, observed, state.groups, leverage=state.leverage)
+    information = noise.information(observed)
+    system = linear_system(problem, observed, bins, state.unknowns, information=information, basis=grid.basis)
     log_weight = log_weights(system.normal(), grid)
     scales = likely_scales(normalised(log_weight), grid)
     found = most_probable_with_field(problem, system, scales)
@@ -319,43 +349,39 @@ def _improved(
         there = system.moved(problem, found.unknowns)
         which = few | np.any(there.rows[..., problem.block_slice("night_pose")] != 0.0, axis=(1, 2))
         leverage = leverage_of(there, there.normal(), found.fit, scales, which=which)[bins.member]
-    unknowns, smooth = found.unknowns, (system.basis_values @ found.fit.coefficients.T)[bins.member]
-    return RoundState(
-        unknowns=unknowns,
-        residuals=problem.residuals(unknowns, observed) - smooth,
+    smooth = (system.basis_values @ found.fit.coefficients.T)[bins.member]
+    return replace(
+        state,
+        unknowns=found.unknowns,
         scales=scales,
+        noise=noise,
+        last_round=system,
+        scatter=problem.residuals(found.unknowns, observed) - smooth,
+        leverage=leverage,
         field_odds=log_odds_of_a_field(log_weight),
         gain=found.gain,
-        leverage=leverage,
     )
 
 
-def _with_proven(  # noqa: PLR0917 - the fit, piece by piece
-    problem: FitProblem,
-    observed: Sightings,
-    bins: Bins,
-    last_round: LinearSystem,
-    state: RoundState,
-    grid: HyperparameterGrid,
-) -> tuple[FitProblem, RoundState]:
-    """Return the problem with the shared errors that are possible, or that the sightings make so by their information.
+def _with_proven(state: FitState) -> FitState:
+    """Return the state with the shared errors that are possible, or that the sightings make so by their information.
 
-    And the state with those that are not proven at 0.
+    Those that are not proven are 0.
     """
-    system = system_about(problem, observed, bins, last_round, state.unknowns)
-    proven, log_weight, odds = proven_blocks(problem, field_sums(system.normal(), grid), grid)
+    problem, grid, system = state.problem, state.grid, state.system
+    proven, log_weight, odds = proven_blocks(problem, field_sums(state.normal, grid), grid)
     suspected = {name for name, one in odds.items() if suspects(one)} - {PIXELS}  # these are of the lens's prior
     kept, places = problem.only(POSSIBLE | proven | suspected)
-    state = replace(state, unknowns=state.unknowns[places], block_odds=odds)
+    state = replace(state, problem=kept, unknowns=state.unknowns[places], block_odds=odds)
     estimated, places = kept.only(proven)
     if len(estimated.blocks) == len(problem.blocks):
-        return kept, state
+        return state
     scales = likely_scales(normalised(log_weight), grid)
     unknowns = np.zeros(kept.size)
     unknowns[places] = most_probable_with_field(
         estimated, system.moved(estimated, state.unknowns[places]), scales
     ).unknowns
-    return kept, replace(state, unknowns=unknowns, scales=scales)
+    return replace(state, unknowns=unknowns, scales=scales)
 
 
 def proven_blocks(
@@ -410,42 +436,9 @@ def leverage_of(
     return leverage
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RobustFit:
-    """What the rounds came to.
-
-    Attributes
-    ----------
-    observed : the sightings, with what the errors that they share displace them by.
-    member : (n,) the bin of each.
-    system : the bins' equations about the fit.
-    unknowns : the most probable ones.
-    posterior : their covariance and the field's part in it, over all plausible scales.
-    scales : those of the fit, as found in the data.
-    grid : the scales that were tried, and the field's basis functions.
-    residual : (n, 2) observed minus modelled by the lens alone, px.
-    field_mean : (2, m) coefficients of the most probable field; None where none is more probable.
-    noise : of each sighting.
-    log_odds : of the parts of the model, see `Provenance`.
-    """
-
-    problem: FitProblem
-    observed: Sightings
-    member: IntArray
-    system: LinearSystem
-    unknowns: FloatArray
-    posterior: PosteriorCovariance
-    scales: Scales
-    grid: HyperparameterGrid
-    residual: FloatArray
-    field_mean: FloatArray | None
-    noise: Noise
-    log_odds: dict[str, float]
-
-
 def fit_robustly(
     observed: Sightings, cameras: list[Camera], options: CalibrationOptions, circle: ImageCircle | None
-) -> RobustFit:
+) -> FitState:
     """Return the fit of all sightings from the answer of the coarse search.
 
     Parameters
@@ -458,18 +451,18 @@ def fit_robustly(
     problem = single_problem(observed, cameras[0], options, circle, n_epochs=len(cameras))
     groups = NoiseGroups.of(observed)
     fit = _fitted(problem, observed, problem.unknowns(cameras), groups, options)
-    if not proves(PIXELS, fit.log_odds.get(PIXELS, 0.0)):
+    if not proves(PIXELS, fit.block_odds.get(PIXELS, 0.0)):
         return fit
     wide = replace(problem, prior=with_wide_pixels(problem.prior))
     start = wide.unknowns([fit.problem.camera(fit.unknowns, epoch) for epoch in range(problem.n_epochs)])
     start[STRETCH] += fit.unknowns[fit.problem.block_slice(PIXELS)]
     again = _fitted(wide, observed, start, groups, options)
-    return replace(again, log_odds={**again.log_odds, PIXELS: fit.log_odds[PIXELS]})
+    return replace(again, block_odds={**again.block_odds, PIXELS: fit.block_odds[PIXELS]})
 
 
 def _fitted(
     problem: FitProblem, observed: Sightings, start: FloatArray, groups: NoiseGroups, options: CalibrationOptions
-) -> RobustFit:
+) -> FitState:
     """Return the fit with the lens's prior as it is."""
     grid = grid_of(problem.template, options)
     # first without a field: the best of several starts
@@ -483,30 +476,7 @@ def _fitted(
     deepest = best_of_starts(problem, means, at, precision=precision)
     plain = lowest(problem, observed, [at, deepest], precision=precision)
     problem, observed = with_effects(problem, plain, observed, outwards_px=options.outwards_px)
-    found = robust_camera(problem, observed, plain, groups=groups, grid=grid)
-    problem, unknowns, state = found.problem, found.unknowns, found.state
-    system = found.system(observed, groups.bins)
-    normal = system.normal()
-    mean = found.field_mean(normal)
-    # a field that was bounded for the camera's sake is possible all the same
-    stretched = probability(state.block_odds.get(PIXELS, -math.inf))
-    posterior = stated_posterior(
-        problem, system, unknowns, grid=grid, scales=state.scales, mean=mean, stretched=stretched
-    )
-    return RobustFit(
-        problem=problem,
-        observed=observed,
-        member=groups.bins.member,
-        system=system,
-        unknowns=unknowns,
-        posterior=posterior,
-        scales=state.scales,
-        grid=grid,
-        residual=problem.residuals(unknowns, observed),
-        field_mean=mean,
-        noise=found.noise,
-        log_odds={**log_odds_of_parts(normal, grid.basis, state.scales), "field": state.field_odds, **state.block_odds},
-    )
+    return robust_rounds(problem, observed, plain, groups=groups, grid=grid)
 
 
 def grid_of(template: Camera, options: CalibrationOptions) -> HyperparameterGrid:

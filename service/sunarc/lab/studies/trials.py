@@ -15,8 +15,8 @@ import numpy as np
 from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.fit.assemble import tidied
 from sunarc.calibration.fit.effects import with_effects
-from sunarc.calibration.fit.marginal_likelihood import HyperparameterGrid, field_at, prior_precision
-from sunarc.calibration.fit.robust_fit import grid_of, robust_camera
+from sunarc.calibration.fit.marginal_likelihood import HyperparameterGrid, prior_precision
+from sunarc.calibration.fit.robust_fit import grid_of, robust_rounds
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, Method
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.noise import NoiseGroups
@@ -125,12 +125,9 @@ class Batch:
     def _robust(self, observed: Sightings, problem: FitProblem) -> Camera:
         plain = self._without_field(observed, problem)
         problem, observed = with_effects(problem, plain, observed, outwards_px=self.options.outwards_px)
-        found = robust_camera(problem, observed, plain, groups=self.groups, grid=self.grid)
-        camera = found.problem.camera(found.unknowns)
-        if found.state.field_odds <= 0.0:
-            return camera
-        mean = field_at(found.system(observed, self.groups.bins).normal(), found.grid.basis, found.state.scales)
-        return replace(camera, displacement=found.grid.basis.displacement(mean))
+        found = robust_rounds(problem, observed, plain, groups=self.groups, grid=self.grid)
+        camera, mean = found.camera(), found.field_mean
+        return camera if mean is None else replace(camera, displacement=found.grid.basis.displacement(mean))
 
     def _without_field(self, observed: Sightings, problem: FitProblem) -> FloatArray:
         """Return the unknowns of the robust fit from the known camera: the weights by turns with the bins' solution."""
