@@ -14,7 +14,7 @@ from __future__ import annotations
 import argparse
 import json
 import shutil
-from datetime import UTC, datetime
+from datetime import datetime
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -43,7 +43,7 @@ MARKER = """() => {
   const x = (box.left + box.width / 2 - frame.left) / frame.width;
   const y = (box.top + box.height / 2 - frame.top) / frame.height;
   const part = document.querySelector("#overlay").viewBox.baseVal; // px of the camera; the image may be a thumbnail
-  return [part.x + x * part.width, part.y + y * part.height, document.querySelector("#sky-time").textContent];
+  return [part.x + x * part.width, part.y + y * part.height, document.querySelector("#sky-time").dataset.time];
 }"""
 
 
@@ -91,7 +91,7 @@ def photograph(browser: Browser, url: str, look: Look, *, truth: Path, target: P
 def off_truth_px(page: Page, truth: Path) -> tuple[float, str]:
     """Return how far the drawn sun is from where the true camera has it, px, and at which time."""
     x, y, time = page.evaluate(MARKER)
-    unix_s = datetime.fromisoformat(time).replace(tzinfo=UTC).timestamp() + 0.5
+    unix_s = datetime.fromisoformat(time).timestamp()
     true = from_document(json.loads(truth.read_text()))
     return float(np.hypot(*(project(true.camera, sun_directions(unix_s, true.site)) - (x, y)))), time
 

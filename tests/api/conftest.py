@@ -182,6 +182,8 @@ def make(tmp_path: Path, archives: Path) -> Iterator[Make]:
         token: bool = True,
         history: str = "empty",
         archive: Archive | None = None,
+        timezone: str = "UTC",
+        is_replay: bool = False,
         **options: Any,  # noqa: ANN401 - of ApiOptions
     ) -> Made:
         if archive is None:
@@ -210,6 +212,8 @@ def make(tmp_path: Path, archives: Path) -> Iterator[Make]:
             latest_image=lambda: image,
             options=ApiOptions(**options),
             images=images,
+            timezone=timezone,
+            is_replay=is_replay,
         )
         return Made(kept, board, app, Client(app), asked)
 

@@ -19,7 +19,7 @@ import pytest
 import uvicorn
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page, sync_playwright
-from tests.api.conftest import LENS, NOON, REFUSED
+from tests.api.conftest import LENS, NOON, REFUSED, write_image
 from tests.fixtures.calibrations import SITE
 
 from sunarc.common.findings import Finding
@@ -496,3 +496,26 @@ def test_where_reading_needs_a_token_the_page_asks_for_it(make: Any, picture: Pa
         shown(page)
         assert page.is_hidden("#token-form")
         assert "token" not in page.url
+
+
+@pytest.mark.browser
+@in_a_browser
+def test_expected_and_seen_are_of_the_time_of_the_picture(make: Any, tmp_path: Path) -> None:  # noqa: ANN401 - a fixture that is a function
+    """Show a picture of 18:00 at 18:30: a sighting of 18:00 is drawn, not the last one."""
+    taken = NOON - timedelta(minutes=30)
+    image = write_image(tmp_path, "20130513T180000.000Z_hdr.jpg")
+    made: Made = make(image=image, history="filled", timezone="Pacific/Auckland", is_replay=True)
+    made.board.note(last_frame_at=NOON, last_sighting_at=NOON)
+    sun = project(LENS, sun_directions(taken.timestamp(), SITE))
+    with serving(made) as address, browser() as chromium:
+        page = opened(chromium, address).page
+        shown(page)
+        page.wait_for_selector("#overlay .seen", state="attached")
+        assert (
+            page.inner_text("#sky-time") == "Picture taken 2013-05-13 18:00:00 UTC · 2013-05-14 06:00 Pacific/Auckland"
+        )
+        assert page.evaluate(MARKER) == pytest.approx(sun.tolist(), abs=1.0)
+        assert page.evaluate(MARKER.replace("path.expected", ".seen")) == pytest.approx(sun.tolist(), abs=1.0)
+        assert float(np.hypot(*(sun - project(LENS, sun_directions(NOON.timestamp(), SITE))))) > 30.0
+        assert re.search(r"\d px apart, 1-sigma 0\.\d+ px per axis", page.inner_text("#sun"))
+        assert "18:30:00 UTC" in page.inner_text("#replay")

@@ -1,9 +1,11 @@
 from __future__ import annotations
 
+from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.api.conftest import write_image
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made
@@ -31,6 +33,16 @@ def test_the_latest_image_is_sent_once(made: Made) -> None:
     assert answer.content[:3] == b"\xff\xd8\xff"
     again = made.client.get("/v1/image/latest", headers={"if-none-match": answer.headers["etag"]})
     assert (again.status_code, again.content) == (304, b"")
+    assert answer.headers["sunarc-time"] == again.headers["sunarc-time"] == "2013-05-13T18:30:00Z"  # of its name
+    made.board.note(last_frame_at=made.noon + timedelta(hours=1))
+    assert made.client.get("/v1/image/latest").headers["sunarc-time"] == "2013-05-13T18:30:00Z"
+
+
+def test_a_picture_of_another_program_has_the_time_of_the_last_frame(make: Any, tmp_path: Path) -> None:  # noqa: ANN401 - a fixture that is a function
+    made = make(image=write_image(tmp_path, "image-7.jpg"))
+    assert "sunarc-time" not in made.client.get("/v1/image/latest").headers
+    made.board.note(last_frame_at=made.noon)
+    assert made.client.get("/v1/image/latest").headers["sunarc-time"] == "2013-05-13T18:30:00Z"
 
 
 def test_without_an_image_there_is_none(empty: Made) -> None:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
@@ -101,6 +102,10 @@ def test_residuals_are_sighting_minus_the_current_calibration(made: Made) -> Non
         assert residual["y_px"] == pytest.approx(point["y_px"] - y, abs=1e-6)
         assert residual["distance_px"] == pytest.approx(np.hypot(residual["x_px"], residual["y_px"]))
         assert 7.0 < residual["distance_px"] / residual["distance_deg"] < 15.5  # px per degree, the lens's range
+    newest = next(point for point in told["sun_points"] if point["accepted"])
+    expected = made.client.get("/v1/sun", params={"at": newest["time"], "calibration": "second"}).json()
+    assert newest["residual"]["sigma_px"] == pytest.approx(math.hypot(newest["sigma_px"], expected["sigma_px"]), 1e-6)
+    assert newest["residual"]["sigma_px"] > newest["sigma_px"]
 
 
 def test_stars_are_listed_by_name_with_residuals_of_their_own_directions(made: Made) -> None:

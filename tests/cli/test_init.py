@@ -348,3 +348,27 @@ def test_one_light_at_night_names_no_slip() -> None:
     assert judge_site([moon, noon, noon, noon], site).code == "site_sun_down_in_some"
     assert judge_site([moon], site).code == "site_sun_down"
     assert judge_site([replace(moon, found=None)], site) == Finding("site_not_held")
+
+
+@pytest.mark.parametrize(("host", "zone"), [("Pacific/Auckland", "Pacific/Auckland"), ("EST5EDT4,M3.2.0", "UTC")])
+def test_the_time_zone_is_the_hosts_and_never_that_of_the_longitude(
+    sunarc: Sunarc, pictures: Path, monkeypatch: pytest.MonkeyPatch, host: str, zone: str
+) -> None:
+    monkeypatch.setenv("TZ", host)
+    file = pictures.parent / "sunarc.toml"
+    assert init(sunarc, file, *SITE, "--folder", str(pictures), "--utc-offset", "0").code == 0
+    assert load_settings(file).site.timezone == zone
+
+
+def test_the_time_zone_that_is_given_is_kept_and_one_that_does_not_exist_leaves_the_file_alone(
+    sunarc: Sunarc, tmp_path: Path, pictures: Path
+) -> None:
+    file = tmp_path / "sunarc.toml"
+    init(sunarc, file, *SITE, "--folder", str(pictures), "--utc-offset", "0", "--timezone", "America/Chicago")
+    before = file.read_text()
+    answer = init(sunarc, file, "--timezone", "Mars/Olympus")
+    assert answer.code == 2
+    assert "site.timezone" in answer.err
+    assert init(sunarc, file, "--altitude", "318").code == 0
+    assert file.read_text() == before
+    assert load_settings(file).site.timezone == "America/Chicago"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +27,7 @@ from sunarc.imager.settings.model import Settings
 from sunarc.imager.settings.reference import all_settings, dataclass_in
 from sunarc.imager.workers.options import CaptureOptions, RefitOptions
 from sunarc.imaging.exposure import SunExposureOptions
+from sunarc.sky.site import Site
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -117,7 +119,9 @@ NUMERIC = [name for name, allowed in ALLOWED.items() if "number" in allowed]
 
 
 _NEW_SECTIONS = ("folder.", "http.", "rtsp.", "push.", "night.", "nightly.", "first_pose.")
-NEW = {"store", "hub.url", "hub.token_file"} | {name for name in NAMES if name.startswith(_NEW_SECTIONS)}
+NEW = {"store", "hub.url", "hub.token_file", "site.timezone"} | {
+    name for name in NAMES if name.startswith(_NEW_SECTIONS)
+}
 """Settings that came after 0.2.0."""
 
 
@@ -136,7 +140,7 @@ def test_a_settings_file_of_0_2_0_is_read_and_has_every_setting() -> None:
 
 
 def test_there_are_about_fifty_settings() -> None:
-    assert len(NAMES) <= 86
+    assert len(NAMES) <= 87
 
 
 def test_every_number_has_a_lower_and_an_upper_bound() -> None:
@@ -317,3 +321,22 @@ def test_only_a_regular_file_of_a_bounded_size_is_read(
         path.write_bytes(b"#" * (MOST_SETTINGS_BYTES + 1))
     with pytest.raises(ConfigurationError, match="larger than" if kind == "large" else "not a regular file"):
         read(path)
+
+
+@pytest.mark.parametrize("zone", ["Mars/Olympus", "", "../etc", "Europe", "/etc/passwd", "CEST"])
+def test_a_time_zone_that_does_not_exist_is_refused_by_its_path(folder: Path, zone: str) -> None:
+    (folder / "sunarc.toml").write_text(SITE + f'timezone = "{zone}"\n')
+    with pytest.raises(ConfigurationError, match=r"site\.timezone: .* is not a time zone") as refused:
+        load_settings(folder / "sunarc.toml")
+    assert "\n" not in str(refused.value)
+
+
+def test_the_time_zone_is_utc_unless_it_is_set(folder: Path) -> None:
+    path = folder / "sunarc.toml"
+    path.write_text(SITE)
+    assert load_settings(path).site.timezone == "UTC"
+    path.write_text(SITE + 'timezone = "Pacific/Auckland"\n')
+    settings = load_settings(path)
+    assert settings.site.timezone == "Pacific/Auckland"
+    plain = Site(latitude=36.6, longitude=-97.5)
+    assert Settings(site=plain).site == replace(settings.site, timezone="UTC")

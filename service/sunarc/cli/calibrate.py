@@ -306,7 +306,8 @@ def _site(config: Path | None, *stated: float | None) -> Site:
     given = {name: value for name, value in zip(names, stated, strict=True) if value is not None}
     if config is not None and not {"latitude", "longitude"} <= given.keys():
         require_extra("imager", what="calibrate --config")
-        return replace(service_settings(config).site, **given)
+        known: Site = service_settings(config).site
+        return replace(known, **given)
     for name in ("latitude", "longitude"):
         _given(given.get(name), f"--{name}")
     return Site(**{"altitude": 0.0, **given})

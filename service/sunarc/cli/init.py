@@ -22,6 +22,7 @@ from sunarc.imager.archive.database.state_folder import as_owner
 from sunarc.imager.checks import TriedResult, try_first
 from sunarc.imager.settings.file_text import NEW_FILE, Value, read_text, value_in, with_values
 from sunarc.imager.settings.load import settings_of
+from sunarc.imager.settings.model import UTC, zone_exists
 from sunarc.sky.site import parse_angle
 from sunarc.sources.time_patterns import checked_pattern
 
@@ -120,6 +121,9 @@ def init(
     latitude: Annotated[str | None, typer.Option(help="Decimal degrees, north positive, or as 36°36'14\"N.")] = None,
     longitude: Annotated[str | None, typer.Option(help="Decimal degrees, east positive, or as 97°29'05\"W.")] = None,
     altitude: Annotated[str | None, typer.Option(help="Metres above sea level.")] = None,
+    timezone: Annotated[
+        str | None, typer.Option(help="IANA name of the zone of local times, as Pacific/Auckland; else the host's.")
+    ] = None,
     source: Annotated[str | None, typer.Option(help="aravis (a GenICam camera), folder, http or rtsp.")] = None,
     camera: Annotated[
         list[str] | None, typer.Option(help="Address of a GigE camera; may be given often, none is searched for.")
@@ -175,8 +179,11 @@ def init(
         "name": name,
         "state": None if state is None else str(state.absolute()),
         "api.port": port,
+        "site.timezone": timezone,
     }
     answers.set(plain)
+    if answers.value("site.timezone") is None:
+        answers.set({"site.timezone": _host_zone()})
     for question in _SITE:
         answers.answer(question)
     kind = str(answers.value("source") or "aravis")
@@ -195,6 +202,13 @@ def init(
     _print(file, changed, results, as_json=as_json)
     if any(result.outcome == "fail" for result in results):
         raise typer.Exit(1)
+
+
+def _host_zone() -> str:
+    """Return the IANA name of this computer's time zone; UTC where it has no name."""
+    of_file = os.path.realpath("/etc/localtime").partition("/zoneinfo/")[2]
+    name = os.environ.get("TZ", of_file).removeprefix(":")
+    return name if name and zone_exists(name) else UTC
 
 
 def _source_of(camera: list[str] | None, folder: Path | None, url: str | None) -> str | None:

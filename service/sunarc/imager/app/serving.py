@@ -198,6 +198,8 @@ def _web_server(service: Service, *, on_started: Callable[[], None]) -> Server:
         latest_image=service.latest_image,
         options=options,
         images=service.images,
+        timezone=service.settings.site.timezone,
+        is_replay=service.settings.is_replay,
         stopping=lambda: server.should_exit,
     )
     server = new_server(app, options, on_started=on_started, heartbeat=Heartbeat(service.clock.monotonic))

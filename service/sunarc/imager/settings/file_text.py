@@ -36,6 +36,7 @@ _COMMENTS = {
     "site.latitude": "degrees, north positive",
     "site.longitude": "degrees, east positive",
     "site.altitude": "metres above sea level",
+    "site.timezone": "zone of the local times that are shown",
     "api.port": "of the dashboard and the REST service",
 }
 """What stands behind a value on a line that is new; `sunarc settings` has the rest."""

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
+from zoneinfo import ZoneInfo
 
 from pydantic import BaseModel, ConfigDict, field_validator
 from sqlalchemy import URL
 
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.changes.values import WatchOptions
+from sunarc.common.errors import InputError
 from sunarc.detection.values import DiscOptions
 from sunarc.imager.archive.database.connections import server_url
 from sunarc.imager.archive.images import DiskOptions
@@ -19,6 +22,39 @@ from sunarc.imager.web.options import ApiOptions
 from sunarc.imager.workers import options
 from sunarc.imaging.exposure import SunExposureOptions
 from sunarc.sky.site import Site
+
+UTC = "UTC"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SiteOptions(Site):
+    """A place on the ground, with the time zone of the people there.
+
+    Attributes
+    ----------
+    timezone : IANA name, as "Pacific/Auckland", of the zone whose local times are shown with those in UTC. No
+        computation uses it.
+    """
+
+    timezone: str = UTC
+
+    def __post_init__(self) -> None:
+        """Refuse a zone that does not exist."""
+        Site.__post_init__(self)
+        if not zone_exists(self.timezone):
+            raise InputError(
+                field="site.timezone",
+                problem=f"{self.timezone!r} is not a time zone that is known here",
+                remedy="give an IANA name as Pacific/Auckland (package tzdata), or UTC",
+            )
+
+
+def zone_exists(name: str) -> bool:
+    """Return whether an IANA name is that of a time zone on this machine; UTC always is."""
+    try:
+        return name == UTC or bool(ZoneInfo(name))
+    except (OSError, ValueError, KeyError):  # no such zone, or no list of zones
+        return False
 
 
 class _WithStore(BaseModel):
@@ -65,7 +101,7 @@ class Settings(_WithStore):
     store : where the archive is: unset, the SQLite file in `state`; or a PostgreSQL database,
         "postgresql+psycopg://USER@HOST/DATABASE" (needs the extra `postgresql`).
     source : where frames come from.
-    site : where the camera stands.
+    site : where the camera stands, and the time zone there.
     camera : the GigE Vision camera.
     folder, http : the folder that another program fills, the picture at an address.
     replay : the folder to replay.
@@ -91,7 +127,7 @@ class Settings(_WithStore):
     state: Path = Path("/var/lib/sunarc")
     store: str | None = None
     source: Literal["aravis", "folder", "http", "replay", "rtsp"] = "aravis"
-    site: Site
+    site: SiteOptions
     camera: AravisOptions | None = None
     folder: FolderOptions | None = None
     http: SnapshotOptions | None = None
@@ -113,6 +149,19 @@ class Settings(_WithStore):
     night: options.NightOptions = options.NightOptions()
     nightly: options.NightlyOptions = options.NightlyOptions()
     supervisor: SupervisorOptions = SupervisorOptions()
+
+    @field_validator("site", mode="before")
+    @classmethod
+    def _with_timezone(cls, site: Any) -> Any:  # noqa: ANN401 - whatever was given
+        """Return a site of the library as one with a time zone."""
+        if type(site) is not Site:
+            return site
+        return SiteOptions(**{one.name: getattr(site, one.name) for one in fields(Site)})
+
+    @property
+    def is_replay(self) -> bool:
+        """Whether the frames' clock is that of a replay or of a simulation, not the present time."""
+        return self.source == "replay" or self.capture.speed != 1.0
 
     @property
     def dated_by_camera(self) -> bool:

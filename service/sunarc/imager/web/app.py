@@ -158,6 +158,8 @@ def create_app(
     latest_image: Callable[[], FilePath | None],
     options: ApiOptions,
     images: ImageStore | None = None,
+    timezone: str = "UTC",
+    is_replay: bool = False,
     stopping: Callable[[], bool] = lambda: False,
 ) -> FastAPI:
     """Return an application that serves one camera's archive.
@@ -171,6 +173,8 @@ def create_app(
     latest_image : returns the newest preview's file (JPEG or PNG), or None.
     options : limits and the token.
     images : the composites; None where there are none.
+    timezone : IANA name of the zone whose local times are shown with those in UTC.
+    is_replay : whether the frames' clock is that of a replay or of a simulation.
     stopping : returns whether the service is about to stop: streams of events end then.
     """
     context = new_context(
@@ -183,6 +187,8 @@ def create_app(
         latest_image=latest_image,
         options=options,
         images=images,
+        timezone=timezone,
+        is_replay=is_replay,
         stopping=stopping,
         token=admission.read_token(options.token_file, setting="api.token_file"),
     )

@@ -125,6 +125,7 @@ class DaySites:
 class ApiContext:
     """The collaborators of one application (see `create_app`).
 
+    `timezone` and `is_replay` are for displays: the zone of local times, and whether the frames' clock is a replay's.
     `chosen` is the calibration that a request asks to be answered with: an id, or "best"; None for the one of the time.
     """
 
@@ -143,6 +144,8 @@ class ApiContext:
     ensembles: SingleFlightCache[Sampling, Ensemble]
     stopping: Callable[[], bool] = lambda: False
     chosen: str | None = None
+    timezone: str = "UTC"
+    is_replay: bool = False
 
     def of(self, request: Request) -> ApiContext:
         """Return what is served of the camera in a request's path, by the calibration that its query names.

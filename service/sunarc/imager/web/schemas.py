@@ -292,6 +292,10 @@ class Residual(BaseModel):
     y_px: float = Field(description="Seen minus expected, px.", examples=[-0.013])
     distance_px: float = Field(description="Their distance, px.", examples=[0.025])
     distance_deg: float | None = Field(description="The angle between them on the sky, degrees.", examples=[0.0024])
+    sigma_px: float | None = Field(
+        description="1-sigma per axis of x_px and y_px, by the sighting and the calibration, px; null where not known.",
+        examples=[0.05],
+    )
     apparent_zenith: float = Field(description="Where the sun stood, degrees.", examples=[18.2])
     azimuth: float = Field(description="Where the sun stood, degrees clockwise from north.", examples=[178.1])
 
@@ -358,6 +362,8 @@ class Status(BaseModel):
     camera_name: Annotated[str, described("Name of this service's camera.", "imager")]
     started_at: Time
     frame_time: Time = Field(description="The current time of the frames' clock.")
+    is_replay: Annotated[bool, described("Whether that clock is of a replay or simulation, not the present.", False)]
+    timezone: Annotated[str, described("IANA name of the site's zone, `site.timezone`.", "Pacific/Auckland")]
     workers: Annotated[tuple[WorkerStatus, ...], described("The service's threads, in the order of their names.")]
     camera: Annotated[CameraStatus | None, described("The camera as it last answered; null before it did.")]
     capture: Annotated[CaptureStatus | None, described("Counts since the start; null before the first cycle.")]

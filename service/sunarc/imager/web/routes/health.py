@@ -87,6 +87,8 @@ def _status(context: ApiContext) -> schemas.Status:
         findings=snapshot.findings,
         camera_name=context.camera,
         frame_time=context.frame_clock(),
+        is_replay=context.is_replay,
+        timezone=context.timezone,
         disk_free_bytes=None if snapshot.disk is None else snapshot.disk.free_bytes,
         calibration=None if record is None else summary(record),
         last_day=days[0] if days else None,

@@ -17,6 +17,7 @@ from starlette.concurrency import run_in_threadpool
 from sunarc.common.errors import InputError, NotFoundError, OutsideError
 from sunarc.common.foreign_files import read_regular
 from sunarc.common.utc import rfc3339
+from sunarc.imager.archive.images import time_in_name
 from sunarc.imager.archive.notices import NoticeKind, condition_changes, stored_changes
 from sunarc.imager.archive.values import Day, DayAir, Event, EventSeverity, Housekeeping, HousekeepingStep, fields_of
 from sunarc.imager.runtime.json_fields import SolarDate, described
@@ -74,7 +75,12 @@ def air_out(air: DayAir) -> DayAirOut:
 
 
 _MEDIA_TYPES = {".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".png": "image/png"}
-_IMAGE = described_answer("The image.", sorted(set(_MEDIA_TYPES.values())), same="The image is the one")
+_IMAGE = described_answer(
+    "The image.",
+    sorted(set(_MEDIA_TYPES.values())),
+    headers={"Sunarc-Time": "When it was taken, RFC 3339, UTC; absent where not known."},
+    same="The image is the one",
+)
 
 
 def record_routes(context: ApiContext) -> APIRouter:
@@ -169,6 +175,9 @@ def _image(context: ApiContext, if_none_match: str | None, width: int | None) ->
         raise NotFoundError(field="image", problem="no image was kept yet", remedy="wait for the first cycle")
     tag = path.stem if width is None else f"{path.stem}-{width}"
     headers = {"etag": f'"{tag}"', "cache-control": "no-cache"}
+    taken_at = time_in_name(path) or context.status().last_frame_at
+    if taken_at is not None:
+        headers["sunarc-time"] = rfc3339(taken_at)
     if matches(if_none_match, headers["etag"]):
         return Response(status_code=304, headers=headers)
     try:

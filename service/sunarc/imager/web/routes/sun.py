@@ -202,6 +202,10 @@ def _residuals(calibration: Calibration, context: ApiContext, points: Sequence[S
     directions = np.where(of_sun, sun, others)
     zenith_deg, azimuth_deg = angles_from_direction(directions)
     off_px = observed - project(calibration.camera, directions)
+    measured = bool(np.all(np.isfinite(temperature + pressure)))
+    _, covariance = sun_with_covariance(calibration, directions, site=context.site, measured=measured)
+    own = np.array([np.nan if point.sigma_px is None else point.sigma_px for point in points])
+    sigma = np.hypot(own, sigma_px(covariance)).tolist()
     off_deg = np.degrees(angular_distance(unproject(calibration.camera, observed), directions))
     return [
         None
@@ -211,8 +215,11 @@ def _residuals(calibration: Calibration, context: ApiContext, points: Sequence[S
             y_px=y,
             distance_px=float(np.hypot(x, y)),
             distance_deg=float(angle) if np.isfinite(angle) else None,
+            sigma_px=spread if math.isfinite(spread) else None,
             apparent_zenith=float(zenith),
             azimuth=float(azimuth),
         )
-        for (x, y), angle, zenith, azimuth in zip(off_px.tolist(), off_deg, zenith_deg, azimuth_deg, strict=True)
+        for (x, y), angle, spread, zenith, azimuth in zip(
+            off_px.tolist(), off_deg, sigma, zenith_deg, azimuth_deg, strict=True
+        )
     ]

@@ -26,10 +26,10 @@ export const ask = async (path, body = null) => {
   return (await fetched(path, how))?.json() ?? null;
 };
 
-// An image as an address that an element can show; whoever asked gives it back with URL.revokeObjectURL.
+// An image as an address that an element can show, and its time; whoever asked gives it back with URL.revokeObjectURL.
 export async function askImage(path) {
   const answer = await fetched(path);
-  return answer ? URL.createObjectURL(await answer.blob()) : null;
+  return answer ? { address: URL.createObjectURL(await answer.blob()), time: answer.headers.get("sunarc-time") } : null;
 }
 
 // What the service tells as it happens, for as long as the page is shown; it is asked again when the connection ends, from

@@ -1,7 +1,7 @@
 // The dashboard: asks the API, draws what it says, and asks again.
 import { ask, keepToken, listen, NeedsToken } from "./ask.js";
 import { drawCalendar } from "./calendar.js";
-import { $, ago, fillFacts, fillRows, fixed, judged, moment, node, sentences, telling } from "./draw.js";
+import { $, ago, fillFacts, fillRows, fixed, judged, moment, node, sentences, telling, zoned } from "./draw.js";
 import { compare, offerComparison } from "./compare.js";
 import { drawFirst, firstWay } from "./first.js";
 import { drawHistory, spanDays } from "./history.js";
@@ -9,14 +9,15 @@ import { lookUp } from "./lookup.js";
 import { readNights } from "./night.js";
 import { drawResiduals } from "./residuals.js";
 import { drawSigma } from "./sigma.js";
-import { drawSky, showImage, showPart } from "./sky.js";
+import { drawSky, pictureTime, showImage, showPart } from "./sky.js";
 import { Zoom } from "./zoom.js";
 
 const SIGNS = { ready: ["✓", "Ready"], degraded: ["!", "Degraded"], not_ready: ["✕", "Not ready"], unsure: ["!", "Ready, clock not synchronised"], gone: ["✕", "No answer"], locked: ["!", "Locked"] };
-const SHOWN_ELSEWHERE = ["health", "reasons", "findings", "version", "camera_name", "frame_time", "workers", "calibration", "last_day", "image_size"];
+const SHOWN_ELSEWHERE = ["health", "reasons", "findings", "version", "camera_name", "frame_time", "workers", "calibration", "last_day", "image_size", "is_replay", "timezone"];
 const CONDITION_SIGNS = { degraded: "!", not_ready: "✕" };
 const NO_ACTION = "none"; // as docs/codes.md has it
 const MOST_POINTS = 1000;
+const SAME_MS = 60000; // a sighting of the picture's cycle
 const MOST_ROWS = 50; // of the table of calibrations; the plot has more
 // What the stream of events does not tell: how old heartbeats are, how the sun moved, what was sighted.
 const STATUS_MS = 60000;
@@ -31,7 +32,7 @@ const COUNTED_DAYS = 366; // as many as are counted at once
 const MOST_HOURLY_DAYS = 31; // of longer spans housekeeping is shown by day
 const known = {
   status: null, points: [], calibrations: [], days: [], nights: [], counts: [], housekeeping: { step: "hour", rows: [] },
-  overlay: null, sun: null, asked: null, site: null, calibration: undefined, residualsBy: undefined, date: null, events: MORE_EVENTS, kinds: new Set(),
+  overlay: null, sun: null, sunInPicture: null, asked: null, site: null, calibration: undefined, residualsBy: undefined, date: null, events: MORE_EVENTS, kinds: new Set(),
 };
 
 function showHealth(health, headline) {
@@ -49,6 +50,8 @@ async function refreshStatus() {
   $("token-form").hidden = true;
   $("camera-name").textContent = `· ${status.camera_name}`;
   $("version").textContent = `sunarc ${status.version}`;
+  $("replay").hidden = !status.is_replay;
+  $("replay").textContent = status.is_replay ? `▶ replay: its clock shows ${zoned(status.frame_time, status.timezone)}` : "";
   const c = status.calibration;
   const quality = c ? `calibrated ${ago(c.created_at, status.frame_time)}, direction uncertainty ${telling(c.sky_rms_deg, "°")}` : "not calibrated yet";
   const seen = status.last_sighting_at ? `last sighting ${ago(status.last_sighting_at, status.frame_time)}` : "no sighting yet";
@@ -62,6 +65,19 @@ async function refreshStatus() {
   fillFacts("more-facts", moreFactsOf(status));
   redrawFirst();
   await showImage(status);
+  await refreshPicture();
+}
+
+// The sun at the time of the picture, by the calibration that is current.
+async function refreshPicture() {
+  const time = pictureTime();
+  const by = known.status?.calibration?.id ?? null;
+  const before = known.sunInPicture;
+  if (!time || (before?.time === time && before.by === by)) return;
+  const chosen = by ? `&calibration=${encodeURIComponent(by)}` : "";
+  const sun = await ask(`/v1/sun?at=${encodeURIComponent(time)}${chosen}`).catch(() => null);
+  known.sunInPicture = { time, by, sun };
+  showSun();
 }
 
 // The newest clear day and by how much the camera's pose was off on it, where the record is known.
@@ -132,8 +148,32 @@ async function refreshSky() {
     drawSigma(sun.calibration ? await ask("/v1/uncertainty") : null, known.overlay, known.status?.image_size);
     redrawResiduals();
   }
-  $("sky-time").textContent = moment(sun.time);
   showSun();
+}
+
+// Where the sun was expected and seen at the time of a sighting, by the current calibration.
+function ofSighting(point) {
+  const { residual } = point;
+  return { seen: [point.x_px, point.y_px], expected: residual && [point.x_px - residual.x_px, point.y_px - residual.y_px] };
+}
+
+// The marks in the picture: of the sighting of its cycle, and where there is none the sun expected at its time.
+function marks() {
+  const { time, sun } = known.sunInPicture ?? { time: known.sun?.time, sun: known.sun };
+  const off = (point) => Math.abs(Date.parse(point.time) - Date.parse(time));
+  const near = known.points.filter((point) => point.accepted && off(point) <= SAME_MS).sort((one, other) => off(one) - off(other))[0];
+  const both = near ? ofSighting(near) : { seen: null, expected: null };
+  return { seen: both.seen, expected: both.expected ?? sun?.pixel ?? null };
+}
+
+const pixelText = (pixel) => `${pixel.map((value) => value.toFixed(2)).join(", ")} px`;
+
+function sightingText(point, zone) {
+  const { seen, expected } = ofSighting(point);
+  const was = `${zoned(point.time, zone)}: seen at ${pixelText(seen)}`;
+  if (!expected) return was;
+  const { distance_px, sigma_px } = point.residual;
+  return `${was}, expected at ${pixelText(expected)}; ${telling(distance_px, " px")} apart, 1-sigma ${telling(sigma_px, " px")} per axis`;
 }
 
 // Where the sun is expected and was seen last, over the picture and in words.
@@ -142,10 +182,14 @@ function showSun() {
   const { sun } = known;
   if (!sun) return;
   const last = known.points.find((point) => point.accepted);
+  const zone = known.status?.timezone;
+  const taken = pictureTime();
+  $("sky-time").textContent = taken ? `Picture taken ${zoned(taken, zone)}` : "";
+  if (taken) $("sky-time").dataset.time = taken;
   fillFacts("sun", {
-    Sun: `apparent zenith ${fixed(sun.apparent_zenith, 3, "°")}, azimuth ${fixed(sun.azimuth, 3, "°")}`,
-    "Expected at": sun.pixel ? `${sun.pixel.map((v) => v.toFixed(2)).join(", ")} px ± ${telling(sun.sigma_px, " px")}` : sun.calibration ? "outside the camera's field" : "no calibration yet",
-    "Last sighting at": last ? `${fixed(last.x_px, 2)}, ${fixed(last.y_px, 2)} px ± ${telling(last.sigma_px, " px")} (${moment(last.time)})` : "not yet",
+    "Sun now": `apparent zenith ${fixed(sun.apparent_zenith, 3, "°")}, azimuth ${fixed(sun.azimuth, 3, "°")} (${zoned(sun.time, zone)})`,
+    "Expected now": sun.pixel ? `${pixelText(sun.pixel)} ± ${telling(sun.sigma_px, " px")}` : sun.calibration ? "outside the camera's field" : "no calibration yet",
+    "Last sighting at": last ? sightingText(last, zone) : "not yet",
   });
 }
 
@@ -168,7 +212,7 @@ const zoom = new Zoom($("picture"), (part, factor) => { showPart(part, factor, k
 function redrawSky() {
   if (!known.sun) return;
   zoom.fit(known.status?.image_size ?? [1, 1]);
-  drawSky(known.status?.image_size, zoom.part, known.overlay, known.sun, known.points.find((point) => point.accepted), known.asked, firstWay(known.status, known.points));
+  drawSky(known.status?.image_size, zoom.part, known.overlay, marks(), known.asked, firstWay(known.status, known.points));
 }
 
 async function askSky() {

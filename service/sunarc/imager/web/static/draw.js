@@ -26,6 +26,21 @@ export const fixed = (value, digits, unit = "") => (value === null || value === 
 export const telling = (value, unit = "") => (value === null || value === undefined ? "–" : `${value === 0 ? 0 : Number(value.toPrecision(3))}${unit}`);
 export const moment = (time) => (time ? time.replace("T", " ").replace(/(\.\d+)?Z$/, "") : "–");
 
+// A time in UTC, and in the site's zone where that is another; the date again where it differs.
+export function zoned(time, zone) {
+  const [utc, there] = [moment(time), time && zone ? localTime(time, zone) : null];
+  if (!there || there === utc.slice(0, 16)) return `${utc} UTC`;
+  return `${utc} UTC · ${there.slice(0, 10) === utc.slice(0, 10) ? there.slice(11) : there} ${zone}`;
+}
+
+function localTime(time, zone) {
+  try {
+    const format = { timeZone: zone, hourCycle: "h23", year: "numeric", month: "2-digit", day: "2-digit", hour: "2-digit", minute: "2-digit" };
+    const part = Object.fromEntries(new Intl.DateTimeFormat("en", format).formatToParts(new Date(time)).map(({ type, value }) => [type, value]));
+    return `${part.year}-${part.month}-${part.day} ${part.hour}:${part.minute}`;
+  } catch { return null; } // a zone that this browser does not know
+}
+
 export function ago(time, now) {
   if (!time) return "never";
   const seconds = Math.max(0, (Date.parse(now) - Date.parse(time)) / 1000);

@@ -83,14 +83,14 @@ const axes = (values) => values.map((value) => value.toFixed(4)).join(", ");
 
 const percent = (share) => (share === null || share === undefined ? "–" : `${(100 * share).toFixed(0)} %`);
 
-async function showPicture(address) {
+async function showPicture(found) {
   const image = $("night-image");
   if (known.picture) URL.revokeObjectURL(known.picture);
-  known.picture = address ?? "";
-  $("night-picture").hidden = !address;
-  image.hidden = !address;
-  if (!address) return;
-  image.src = address;
+  known.picture = found?.address ?? "";
+  $("night-picture").hidden = !found;
+  image.hidden = !found;
+  if (!found) return;
+  image.src = found.address;
   await image.decode();
 }
 

@@ -9,6 +9,7 @@ const ASKED = "M-3 0H-1M1 0H3M0-3V-1M0 1V3";
 const THUMBNAIL_PX = 640;
 const IMAGE_EVERY_MS = 600000;
 let shownAt = -Infinity;
+let takenAt = null;
 let enlarged = false;
 
 // The preview as a thumbnail, at most once in ten minutes: it is most of that the page loads.
@@ -18,8 +19,10 @@ export async function showImage(status) {
   if (image.dataset.stamp === stamp || Date.now() - shownAt < IMAGE_EVERY_MS) return;
   image.dataset.stamp = stamp;
   shownAt = Date.now();
-  const address = await askImage(`/v1/image/latest?width=${enlarged ? Math.min(4096, status.image_size?.[0] ?? THUMBNAIL_PX) : THUMBNAIL_PX}`);
-  if (!address) return;
+  const found = await askImage(`/v1/image/latest?width=${enlarged ? Math.min(4096, status.image_size?.[0] ?? THUMBNAIL_PX) : THUMBNAIL_PX}`);
+  if (!found) return;
+  const { address } = found;
+  takenAt = found.time;
   const next = new Image();
   next.src = address;
   await next.decode();
@@ -29,6 +32,9 @@ export async function showImage(status) {
   $("no-image").hidden = true;
   if (before) URL.revokeObjectURL(before);
 }
+
+// When the picture that is shown was taken; null where that is not known.
+export const pictureTime = () => takenAt;
 
 // The part [x, y, width, height] of the image that is shown; enlarged it is loaded in full, once and with what comes.
 export function showPart([x, y, width, height], factor, status) {
@@ -49,8 +55,8 @@ export function compass(overlay) {
   }).filter(([, at]) => at);
 }
 
-// Marks and names have the size of the part that is shown, not of the image.
-export function drawSky(size, part, overlay, sun, last, asked, way = []) {
+// Marks and names have the size of the part that is shown, not of the image. `expected` and `seen` are pixels of one moment.
+export function drawSky(size, part, overlay, { expected, seen }, asked, way = []) {
   const [width, height] = size ?? [1, 1];
   const u = part[2] / 100;
   $("overlay").setAttribute("viewBox", part.join(" "));
@@ -61,8 +67,8 @@ export function drawSky(size, part, overlay, sun, last, asked, way = []) {
   for (const way of overlay?.sun_paths ?? []) parts.push(...drawPath(way, u));
   for (const [name, at] of compass(overlay)) parts.push(label(at, name, u * 4, "corner"));
   if (way.length > 1) parts.push(element("path", { class: "first-way", d: path(way) }));
-  if (last) parts.push(mark(SEEN, "seen", [last.x_px, last.y_px], u));
-  if (sun?.pixel) for (const style of ["expected-under", "expected"]) parts.push(mark(EXPECTED, style, sun.pixel, u));
+  if (seen) parts.push(mark(SEEN, "seen", seen, u));
+  if (expected) for (const style of ["expected-under", "expected"]) parts.push(mark(EXPECTED, style, expected, u));
   if (asked) for (const style of ["expected-under", "asked"]) parts.push(mark(ASKED, style, asked, u));
   $("overlay").replaceChildren(...parts);
 }
