@@ -238,7 +238,7 @@ def judged(archive: Archive) -> Outcome:
     if not rough.states:
         return Outcome(Counter({f"no epochs: {rough.findings[0].code}": 1}), [], np.zeros(0), np.zeros(0))
     final = final_analysis(given._replace(states=rough.states))
-    said, wrong, square, zenith = _changes(archive, final), list[str](), [np.zeros(0)], [np.zeros(0)]
+    said, wrong, square, zenith = changes_said(archive, final), list[str](), [np.zeros(0)], [np.zeros(0)]
     for n, epoch in enumerate(final.epochs):
         pose = final.states[epoch.state].pose
         if pose not in final.fitted:
@@ -251,7 +251,7 @@ def judged(archive: Archive) -> Outcome:
         said["accepted"] += 1
         stated = archive.points.unix_s
         valid = (stated >= epoch.start_unix_s) & (stated <= epoch.end_unix_s)
-        z, at, ratio = _errors(archive, np.unique(archive.of_spell[valid]), calibration)
+        z, at, ratio = errors_over_sky(archive, np.unique(archive.of_spell[valid]), calibration)
         square.append(z)
         zenith.append(at)
         if ratio > 3.0:
@@ -259,7 +259,7 @@ def judged(archive: Archive) -> Outcome:
     return Outcome(said, wrong, np.concatenate(square), np.concatenate(zenith))
 
 
-def _changes(archive: Archive, final: Final) -> Counter[str]:
+def changes_said(archive: Archive, final: Final) -> Counter[str]:
     """Return how the changes that were found are to the true ones."""
     said, stated = Counter[str](), archive.points.unix_s
     found = [(one.cause, before.end_unix_s, one.start_unix_s) for before, one in itertools.pairwise(final.epochs)]
@@ -279,7 +279,9 @@ def _changes(archive: Archive, final: Final) -> Counter[str]:
     return said
 
 
-def _errors(archive: Archive, numbers: NDArray[np.int64], calibration: object) -> tuple[FloatArray, FloatArray, float]:
+def errors_over_sky(
+    archive: Archive, numbers: NDArray[np.int64], calibration: object
+) -> tuple[FloatArray, FloatArray, float]:
     """Return z² and zenith angles over the sky in the spell with most sightings, and the worst error over stated."""
     sky = hemisphere(600)
     sky = sky[sky[:, 2] > math.cos(math.radians(BANDS_DEG[-1]))]
