@@ -94,7 +94,7 @@ def _one_day(change: Callable[[np.random.Generator, Lens, float, float], list[Sp
     return Case(1.0, 1, 120, 0.1, at_noon)
 
 
-def _short(rng: np.random.Generator, lens: Lens, noon: float, days: float) -> list[Spell]:
+def _short(rng: np.random.Generator, lens: Lens, noon: float, _days: float) -> list[Spell]:
     turned = moved(rng, lens, 1.5)
     at = noon + DAY_S * np.array([1.0, 3.0]) + HOUR_S * rng.uniform(-4.0, 4.0, 2)
     return [Spell(at[0], turned, cause="moved"), Spell(at[1], refocused(turned, 0.08), cause="lens")]
@@ -162,7 +162,7 @@ def _day(rng: np.random.Generator, place: Place, noon: float, case: Case) -> tup
     # cover of an hour or so: a slow wave of chance, of which the highest part hides the sun and the next displaces it
     slow = np.interp(times, np.arange(noon - 10 * HOUR_S, noon + 10 * HOUR_S, 1500.0), rng.normal(size=48)[:48])
     hidden = slow > np.quantile(slow, 1.0 - case.lost)
-    edge = ~hidden & (slow > np.quantile(slow, max(1.0 - case.lost - 0.2, 0.0)))
+    edge = ~hidden & (slow > np.quantile(slow, 0.75 * (1.0 - case.lost)))
     displaced = rng.normal(0.0, 0.12, (times.size, 2))
     block = np.floor(times / 1800.0).astype(np.int64)
     for one in np.unique(block).tolist():

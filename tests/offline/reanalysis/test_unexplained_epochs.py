@@ -74,6 +74,21 @@ def test_an_epoch_of_two_lenses_is_refused(days: int, per_day: int, first_share:
     assert CODE in codes(verdict.findings)
 
 
+@pytest.mark.parametrize(("days", "per_day"), [(3, 16), (10, 26), (4, 40)])
+def test_suns_at_the_edges_of_clouds_do_not_refuse_an_epoch(days: int, per_day: int) -> None:
+    """A third of the sightings lie 2 to 3 px off, each half-hour in a direction of its own."""
+    points = archive(3, days=days, per_day=per_day, first_share=1.0, sigma_px=0.15)
+    block, rng = np.floor(points.unix_s / 1800.0), np.random.default_rng(5)
+    way = rng.uniform(0.0, 2.0 * np.pi, 10_000)[(block - block[0]).astype(np.int64)]
+    aside = rng.uniform(2.0, 3.0, len(points))[:, None] * np.stack([np.cos(way), np.sin(way)], axis=-1)
+    aside[(block % 3 != 0) | (rng.random(len(points)) < 0.1)] = 0.0
+    cloudy = replace(points, pixels=points.pixels + aside)
+    found = fitted(cloudy)
+    assert found.left_out is not None
+    assert len(found.left_out) > 0.25 * len(points)
+    assert CODE not in codes(found.verdict.findings)
+
+
 @pytest.mark.parametrize(("days", "per_day"), [(14, 4), (7, 8), (4, 14), (2, 90)])
 def test_an_epoch_of_one_lens_is_not(days: int, per_day: int) -> None:
     points = archive(1, days=days, per_day=per_day, first_share=1.0)

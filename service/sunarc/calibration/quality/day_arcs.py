@@ -26,19 +26,22 @@ _POLYNOMIAL_PX = 0.2
 _LARGEST_GAP = math.radians(5.0)
 
 
-def smooth_arc(pixels: FloatArray, angle: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def smooth_arc(
+    pixels: FloatArray, angle: FloatArray, order: int | None = None
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Fit Eq. 20 robustly: polynomials of 9th order in the hour angle.
 
     Parameters
     ----------
     pixels : (n, 2) px.
     angle : (n,) hour angles, radians; a day across the date line of the hour angle is unwrapped. Or times, days.
+    order : of the polynomials; None for the ninth, a third of the sightings at most.
 
     Returns
     -------
     arc : (n, 2) px; residual: (n, 2) observed minus arc; weight: (n,) 0 for sightings off the arc.
     """
-    order = min(_ORDER, max(1, pixels.shape[0] // 3))
+    order = min(_ORDER, max(1, pixels.shape[0] // 3)) if order is None else order
     # in polar summer the hour angle passes 180 degrees while the sun is up
     unwrapped = np.unwrap(angle)
     middle, half = 0.5 * (unwrapped.max() + unwrapped.min()), 0.5 * np.ptp(unwrapped)
@@ -65,13 +68,16 @@ def arc_length_deg(directions: FloatArray) -> float:
 # Whether a fit explains the days of its sightings: one of two lenses meets half of them, and states a small error.
 
 _FEWEST_TO_JUDGE = 20
-"""Sightings of a day that show whether it was clear; fewer are taken to be of a clear one."""
+"""Sightings that show whether it was clear; days of fewer are judged with those after them, by the same hours."""
 _FEWEST_OF_HALF = 6
 _STATED_AT = 40
 """Sightings of a half-day, at most, at which the error that a fit states is looked at: it is smooth."""
 _SHORTEST_HALF_S = 9000.0
 """From the first to the last sighting of a half-day that is judged: twice as long as cloud draws them aside."""
 _FEWEST_FOR_SHARE = 12
+_OF_EACH_TERM, _ALIKE = 6, 0.35
+"""Left-out sightings for each order of their arc, and the largest scatter about it of those of one camera, in how far
+off they lie: of blocks of cloud it is half and more."""
 _SMOOTH_SHARE = 0.8
 """Share of a clear day's sightings that run smoothly about the fit."""
 _CLEAR_SIGMA_PX = 1.0
@@ -106,7 +112,8 @@ def unexplained_days(calibration: Calibration, usable: Sightings) -> Unexplained
     """Return by how much a fit fails to explain the days of its sightings; None where it is not known which it used.
 
     Of the sun's track alone. A day is clear where its sightings run smoothly about the fit, however far off they lie:
-    false sightings scatter, and those of another lens do not. So is one whose left-out sightings run smoothly.
+    false sightings scatter, and those of another lens do not. So is one whose left-out sightings run smoothly. Others
+    count neither for the fit nor against it, nor do left-out sightings that scatter.
 
     Parameters
     ----------
@@ -120,22 +127,21 @@ def unexplained_days(calibration: Calibration, usable: Sightings) -> Unexplained
     camera = replace(calibration.camera, max_angle=np.pi)
     residual = np.nan_to_num(residuals_by_pose(camera, calibration.poses, usable))
     used = ~np.isin(usable.index, calibration.left_out)
-    clear, halves = track.copy(), list[_HalfDay]()
-    on_track = np.flatnonzero(track)  # in the order of time within each epoch
-    fresh = np.diff(usable.day[on_track]) | np.diff(usable.epoch[on_track])
-    for rows in np.split(on_track, np.flatnonzero(fresh) + 1):
-        if rows.size < _FEWEST_OF_HALF:
-            continue
-        largest = max(_CLEAR_SIGMA_PX, _CLEAR_SIGMAS * calibration.evidence.sigma_px)
-        smooth, rough = _runs_smoothly(residual[rows], usable.unix_s[rows], largest)
-        clear[rows] = smooth or rows.size < _FEWEST_TO_JUDGE
-        if clear[rows[0]]:
-            halves += _half_days(calibration, usable, rows, residual[rows], rough)
-            continue
-        # those of another camera, row by row among the used ones, run as smoothly as these do
-        left_out = rows[~used[rows]]
-        if left_out.size >= _FEWEST_FOR_SHARE:
-            clear[rows] = _runs_smoothly(residual[left_out], usable.unix_s[left_out], largest)[0]
+    clear, halves = np.zeros_like(track), list[_HalfDay]()
+    largest = max(_CLEAR_SIGMA_PX, _CLEAR_SIGMAS * calibration.evidence.sigma_px)
+    for rows in _judged_together(usable, np.flatnonzero(track), _FEWEST_TO_JUDGE):
+        smooth, rough = _runs_smoothly(residual[rows], usable, rows, largest)
+        if smooth:
+            fresh = np.flatnonzero(~clear[rows])
+            for of_day in np.split(fresh, np.flatnonzero(np.diff(usable.day[rows[fresh]])) + 1):
+                halves += _half_days(calibration, usable, rows[of_day], residual[rows[of_day]], rough[of_day])
+            clear[rows] = True
+    # those of another camera run smoothly, from day to day too, and those that cloud draws aside do not
+    for rows in _judged_together(usable, np.flatnonzero(track & ~used), 2 * _FEWEST_FOR_SHARE):
+        if _is_alike(residual[rows], usable, rows, largest):
+            clear |= track & np.isin(usable.day, usable.day[rows]) & (usable.epoch == usable.epoch[rows[0]])
+        else:
+            clear[rows] = False
     share, n = max(_left_out(clear, used), _left_out(clear & (usable.epoch == usable.epoch.max(initial=0)), used))
     far = [one for one in halves if one.sigmas > _FAR]
     if not far:
@@ -152,11 +158,34 @@ def unexplained_days(calibration: Calibration, usable: Sightings) -> Unexplained
     return Unexplained({"share": share, "n": n}, far_off)
 
 
-def _runs_smoothly(residual: FloatArray, unix_s: FloatArray, largest_px: float) -> tuple[bool, FloatArray]:
-    """Return whether residuals (n, 2) of a day run smoothly to a scatter, px, and what they scatter by, (n, 2)."""
-    _, rough, weight = smooth_arc(residual, unix_s / DAY_S)
+def _judged_together(usable: Sightings, rows: IntArray, fewest: int) -> Iterator[IntArray]:
+    """Yield the rows of each day, those of a day of few with days after it, or at the end of an epoch before it."""
+    for of_epoch in np.split(rows, np.flatnonzero(np.diff(usable.epoch[rows])) + 1):
+        together = rows[:0]
+        for of_day in np.split(of_epoch, np.flatnonzero(np.diff(usable.day[of_epoch])) + 1):
+            together = np.concatenate([together, of_day]) if of_day.size < fewest else of_day
+            if together.size >= fewest:
+                yield together
+                together = rows[:0]
+        if together.size and of_epoch.size >= _FEWEST_FOR_SHARE:
+            yield of_epoch[-max(fewest, together.size) :]
+
+
+def _runs_smoothly(
+    residual: FloatArray, usable: Sightings, rows: IntArray, largest_px: float
+) -> tuple[bool, FloatArray]:
+    """Return whether residuals (n, 2) of rows run smoothly over the day to a scatter, px, and their scatter (n, 2)."""
+    _, rough, weight = smooth_arc(residual, usable.unix_s[rows] / DAY_S - usable.day[rows])
     scatter_px = robust_sigma(np.linalg.norm(rough, axis=-1), floor=_FLOOR_PX)
     return float(np.mean(weight > 0.0)) >= _SMOOTH_SHARE and scatter_px <= largest_px, rough
+
+
+def _is_alike(residual: FloatArray, usable: Sightings, rows: IntArray, largest_px: float) -> bool:
+    """Return whether residuals (n, 2) of sightings that a fit left out run so smoothly that they are of one camera."""
+    order = min(_ORDER, rows.size // _OF_EACH_TERM)
+    _, rough, weight = smooth_arc(residual, usable.unix_s[rows] / DAY_S - usable.day[rows], order)
+    off, scatter = (robust_sigma(np.linalg.norm(one, axis=-1), floor=_FLOOR_PX) for one in (residual, rough))
+    return float(np.mean(weight > 0.0)) >= _SMOOTH_SHARE and scatter <= min(largest_px, _ALIKE * off)
 
 
 def _left_out(counted: BoolArray, used: BoolArray) -> tuple[float, int]:
