@@ -137,7 +137,7 @@ def test_the_sigma_of_a_rim_and_how_sun_like_it_is_by_their_formulas() -> None:
         parts = [
             0.2, (0.04 if cut else 0.015) * radius, 7.0 * (scatter / share) ** 2 / radius, 0.5 * spread, 0.45 * offset,
             0.9 * radius * uneven**2 * cut, 0.25 * radius * (1.0 - share) * cut,
-            *((0.7 * pull, 0.7 * radius * max(uneven - 0.9, 0.0)) if k % 2 == 0 else ()),
+            *((0.35 * pull, 0.7 * radius * max(uneven - 0.9, 0.0)) if k % 2 == 0 else ()),
         ]  # fmt: skip
         assert sigma_px(rim) == pytest.approx(math.hypot(*parts), rel=1e-12)
         apart = rng.uniform(0.0, 40.0)

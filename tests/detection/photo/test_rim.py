@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,8 @@ from numpy.typing import NDArray
 from tests.detection.photo.suns import glare_image
 from tests.fixtures.stored_answers import require_stored
 
-from sunarc.common.array_types import Image
+from sunarc.common.array_types import FloatArray, Image
+from sunarc.detection.photo.candidates import sigma_px
 from sunarc.detection.photo.plateau import Plateau
 from sunarc.detection.photo.rim import Rim, rim_of
 
@@ -186,6 +188,33 @@ def test_cloud_before_a_part_of_an_edge_is_left_out(covered_deg: float) -> None:
 
 def test_a_glare_without_an_edge_is_round() -> None:
     assert not rim(glare_image()).edged
+
+
+def glare_on(around: Callable[[FloatArray, FloatArray], FloatArray], radius: float) -> NDArray[np.uint16]:
+    """Return a plateau without an edge whose light differs around it, by the radius and the angle."""
+    rows, columns = np.mgrid[:200, :200]
+    far, angle = np.hypot(columns - 100.0, rows - 90.0), np.arctan2(rows - 90.0, columns - 100.0)
+    light = 0.55 + 1.25 / (1.0 + (far / (1.6 * radius)) ** 1.7)
+    return np.asarray(np.clip(4095.0 * (light + around(far, angle)) / 1.11, 0, 4095)).astype(np.uint16)
+
+
+@pytest.mark.parametrize("radius", [9.0, 15.0])
+@pytest.mark.parametrize("slope", [5e-4, 2e-3])
+@pytest.mark.parametrize("towards", [0.0, 2.0, 4.0])
+def test_light_that_rises_to_one_side_moves_a_sun_by_no_more_than_is_stated(
+    radius: float, slope: float, towards: float
+) -> None:
+    """The circles themselves are off by .75 to .96 of the pull."""
+    image = glare_on(lambda far, angle: slope * far * np.cos(angle - towards), radius)
+    found = rim(image, Plateau(100.0, 90.0, radius, 4095.0))
+    assert found.pull > 3.0 * slope * radius
+    assert distance(found) < 0.6 * found.pull
+    assert distance(found) < 1.7 * sigma_px(found)
+
+
+def test_light_that_varies_in_other_ways_too_is_no_pull() -> None:
+    image = glare_on(lambda far, angle: 4e-4 * far * (np.cos(angle) + 2.0 * np.cos(3.0 * angle)), 15.0)
+    assert rim(image, Plateau(100.0, 90.0, 15.0, 4095.0)).pull < 1e-6
 
 
 def test_every_number_of_a_rim_is_the_stored_one() -> None:

@@ -56,6 +56,8 @@ _AT = (1.7, 2.6)  # radii at which the light around is taken
 _GRADIENT = (0.7, 0.85)
 """Share of the light's variance around a rim that is once around, from which it is a gradient's: at blown-out horizons
 it was 0.82 to 0.98, of the texture of the glare about stand-ins of real suns 0.73 and less."""
+_PULLED = 0.45
+"""Share of the pull by which a rim's centre is off: 0.25 to 0.55 at drawn blown-out horizons, 0.96 by a gradient."""
 
 _CLIPPED = 0.6  # share of a plateau that is level where it is clipped
 _WITHIN, _FLAT, _FLAT_COUNTS = 0.75, 0.006, 1.5  # radii; of the level, and counts at least: JPEG's noise
@@ -81,12 +83,13 @@ class Circle(NamedTuple):
 class Rim(NamedTuple):
     """The rim of a plateau.
 
-    x, y, radius : medians of the circles, px. scatter : of the rim about them, px. share : of the rays on which it
-    follows them. spread : rms distance of the circles' centres from the median, px. offset : from the centre of the
-    inscribed circle, px. ellipticity : 1 - minor/major axis. level : of the plateau, counts. flat : share of the light
-    within the rim that is level to within JPEG's noise: 1 where the sun is clipped. near, far : light at 1.7 and 2.6
-    radii over the level, medians over the rays. uneven : width of the middle 70 % of the light at 1.7 radii over its
-    fall from the plateau. pull : see `_pull`, px. circles : how many levels have one. edged : whether the light falls
+    x, y : medians of the circles, less the share of the pull by which they are off, px. radius : their median, px.
+    scatter : of the rim about them, px. share : of the rays on which it follows them. spread : rms distance of the
+    circles' centres from the median, px. offset : of that from the centre of the inscribed circle, px.
+    ellipticity : 1 - minor/major axis. level : of the plateau, counts. flat : share of the light within the rim that is
+    level to within JPEG's noise: 1 where the sun is clipped. near, far : light at 1.7 and 2.6 radii over the level,
+    medians over the rays. uneven : width of the middle 70 % of the light at 1.7 radii over its fall from the plateau.
+    pull : see `_pull`, px; 0 of a rim with an edge. circles : how many levels have one. edged : whether the light falls
     to half within twice the radius: in a short exposure, or no sun.
     """
 
@@ -146,7 +149,14 @@ def rim_of(plane: Image, plateau: Plateau, *, static: BoolArray | None = None) -
         if math.hypot(x - plateau.x, y - plateau.y) > plateau.radius:
             return None
         radius = min(fitted, 2.0 * plateau.radius)
-    return _summary(plateau, rays, crossing, circles, (x, y, fitted))._replace(edged=edged)
+    found = _summary(plateau, rays, crossing, circles, (x, y, fitted))._replace(edged=edged)
+    return found if edged else _without_pull(found, _pull(rays, crossing, fitted))
+
+
+def _without_pull(found: Rim, pull: tuple[float, float]) -> Rim:
+    """Return a rim at the place that it has without a gradient of the light."""
+    x, y = found.x - _PULLED * pull[0], found.y - _PULLED * pull[1]
+    return found._replace(x=x, y=y, pull=math.hypot(*pull))
 
 
 def _summary(
@@ -169,7 +179,7 @@ def _summary(
         near=near,
         far=far,
         uneven=_unevenness(rays, _AT[0] * radius),
-        pull=_pull(rays, crossing, radius),
+        pull=0.0,
         circles=len(circles),
     )
 
@@ -215,8 +225,8 @@ def _unevenness(rays: _Rays, radius: float) -> float:
     return float((high - low) / max(1.0 - middle, _LEAST_FALL))
 
 
-def _pull(rays: _Rays, crossing: list[FloatArray], radius: float) -> float:
-    """Return by how much light that rises across the glare moves a level's circle, px: towards the lighter side.
+def _pull(rays: _Rays, crossing: list[FloatArray], radius: float) -> tuple[float, float]:
+    """Return by how much light that rises across the glare moves a level's circle, (x, y) px: to the lighter side.
 
     A gradient g moves the circle of radius R by g R / s, s being the fall of the glare there: from the first to the
     last level. About that circle the light at k R has then an amplitude g R (k - q) once around, q being its fall at
@@ -228,14 +238,15 @@ def _pull(rays: _Rays, crossing: list[FloatArray], radius: float) -> float:
     apart = crossing[-1] - crossing[0]
     apart = apart[np.isfinite(apart)]
     if np.count_nonzero(known) < _LEAST_POINTS or not apart.size:
-        return 0.0
+        return 0.0, 0.0
     fall = (_LEVELS[0] - _LEVELS[-1]) / max(float(np.median(apart)), _LEAST_SCALE_PX)
     design = np.column_stack([np.ones(RAYS), _COSINE, _SINE])[known]
     once = np.linalg.lstsq(design, ring[known])[0]
     left = float(np.var(ring[known] - design @ once) / max(float(np.var(ring[known])), np.finfo(np.float64).tiny))
     even = float(np.interp(1.0 - left, _GRADIENT, (0.0, 1.0)))
     beyond = max(_light_at(rays, near) - _light_at(rays, far), 0.0) / (far - near)
-    return even * math.hypot(*once[1:]) / (fall * (_AT[0] - min(beyond / fall, 1.0)))
+    x, y = (even * once[1:] / (fall * (_AT[0] - min(beyond / fall, 1.0)))).tolist()
+    return x, y
 
 
 def _middle_level(rays: _Rays, radius: float, level: float) -> float:
