@@ -10,7 +10,15 @@ import pytest
 
 FOLDER = Path(__file__).resolve().parents[2] / "docs" / "studies"
 SCRIPTS = sorted(path.stem for path in FOLDER.glob("*.py"))
-LIBRARIES = {"coverage_statistics", "independent_world", "nights", "one_image_world", "population", "real_like_tracks"}
+LIBRARIES = {
+    "coverage_statistics",
+    "independent_world",
+    "nights",
+    "obstruction_world",
+    "one_image_world",
+    "population",
+    "real_like_tracks",
+}
 """Imported by other scripts and run by nobody."""
 
 

@@ -1,0 +1,76 @@
+"""Horizon profile: the elevation below which the sky is hidden, by azimuth, from an obstruction mask."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from sunarc.common.array_types import BoolArray, FloatArray
+from sunarc.imaging.obstructions import SOILED, Cells, ObstructionMask, sampled_cells
+from sunarc.optics.camera import Camera, camera_sees
+from sunarc.optics.forward import project_fast
+from sunarc.sky.directions import direction_from_angles
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class HorizonProfile:
+    """The horizon that the camera sees, by azimuth in whole degrees."""
+
+    elevation_deg: FloatArray
+    """(360,) highest elevation that is hidden; 0 where nothing is. NaN where the camera does not see."""
+    sigma_deg: FloatArray
+    """(360,) 1-sigma."""
+    openings: tuple[tuple[tuple[float, float], ...], ...]
+    """Of each azimuth, the spans of elevation below it through which the sky is seen, degrees."""
+
+
+_STEP_DEG = 0.1
+_OPENING_DEG = 1.0
+_OFFSETS_DEG = (-0.4, -0.2, 0.0, 0.2, 0.4)
+
+
+def horizon_profile(mask: ObstructionMask, camera: Camera, *, sigma_deg: float = 0.0) -> HorizonProfile:
+    """Return the horizon of a mask.
+
+    Parameters
+    ----------
+    mask : of the camera; dirt on its dome does not count.
+    camera : lens and pose.
+    sigma_deg : 1-sigma of the calibration's directions near the horizon.
+    """
+    elevation = np.arange(0.0, 90.0, _STEP_DEG)
+    offsets = np.array(_OFFSETS_DEG)
+    azimuth = (np.arange(360.0)[:, None] + offsets)[..., None]
+    directions = direction_from_angles(zenith_deg=90.0 - elevation, azimuth_deg=azimuth)
+    at = project_fast(camera, directions.reshape(-1, 3))
+    seen = camera_sees(camera, at) & np.isfinite(at).all(axis=-1)
+    clean = np.where(mask.state == SOILED, 0.0, mask.probability).astype(np.float32)
+    hidden = sampled_cells(clean, at.reshape(360, -1, 2), camera)
+    hidden = hidden.reshape(360, offsets.size, elevation.size)
+    seen = seen.reshape(hidden.shape)
+    tops, widths = (_highest(hidden, seen, limit, elevation) for limit in (0.5, 0.1))
+    top = np.median(tops, axis=1)
+    resolution = mask.grid.resolution_deg / math.sqrt(12.0)
+    spread = 1.48 * np.median(np.abs(tops - top[:, None]), axis=1)
+    soft = np.median(np.abs(widths - tops), axis=1) / 2.0
+    sigma = np.sqrt(resolution**2 + spread**2 + soft**2 + sigma_deg**2)
+    top[~seen.any(axis=(1, 2))] = np.nan
+    middle = np.where(seen, hidden, 1.0)[:, offsets.size // 2]
+    openings = tuple(_openings(row, elevation, highest) for row, highest in zip(middle, top, strict=True))
+    return HorizonProfile(elevation_deg=top, sigma_deg=sigma, openings=openings)
+
+
+def _highest(hidden: Cells, seen: BoolArray, limit: float, elevation: FloatArray) -> FloatArray:
+    """Return (...) the highest elevation at which the probability is above a limit, 0 where it is nowhere."""
+    above = (hidden > limit) & seen
+    last = above.shape[-1] - 1 - np.argmax(above[..., ::-1], axis=-1)
+    return np.where(above.any(axis=-1), elevation[last] + 0.5 * _STEP_DEG * (last > 0), 0.0)
+
+
+def _openings(hidden: Cells, elevation: FloatArray, highest: float) -> tuple[tuple[float, float], ...]:
+    free = np.concatenate([[False], (hidden < 0.5) & (elevation < highest), [False]])
+    edges = np.flatnonzero(np.diff(free.astype(int))).reshape(-1, 2)
+    spans = [(round(first * _STEP_DEG, 1), round(last * _STEP_DEG, 1)) for first, last in edges.tolist()]
+    return tuple(span for span in spans if span[1] - span[0] >= _OPENING_DEG)

@@ -1,0 +1,469 @@
+"""Obstruction mask: the cells of an image that never show the sky, from sums over many images."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sunarc.common.array_types import BoolArray, FloatArray, Image
+from sunarc.common.errors import InputError
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project_fast
+from sunarc.optics.inverse_table import inverse_table
+
+Cells = NDArray[np.float32]
+FREE, UNKNOWN, SOILED, HIDDEN = 255, 128, 64, 0
+"""Values of a mask: sky, not enough evidence, dirt on the dome, an obstruction."""
+
+_CELLS = 512
+"""Cells across the longer side of the image."""
+_VOTE_S = 600.0
+"""Images closer in time share one vote: clouds and light are the same in them."""
+_MOST_ODDS = 15.0
+"""Log odds are clipped here: a clear day has about 60 votes, so that two overturn any history."""
+_MOST_CLOUDY_ODDS = 6.0
+"""Log odds that images without the sun can reach: a bank of dark clouds stands for days, a clear day overturns it."""
+_HALF_LIFE_S = 60.0 * 86400.0
+_NEEDED_CLEAR_S = 4.0 * 3600.0
+"""Time with the sun seen from which on there is a mask: one clear day, in winter too."""
+_DARK, _DARK_WIDTH = 0.5, 0.35
+"""Log contrast to the sky at which a cell votes neither way (a cell half covered), and by which it changes by one."""
+_BRIGHT, _BRIGHT_WIDTH = 0.4, 0.8
+"""Brighter cells are clouds, haze near the horizon or sunlit walls: their votes for the sky fade over this width."""
+_STATIC = 0.05
+"""Log contrast of a texture that stands still, from which on it is an obstruction's. A smooth sky has below 0.01."""
+_STATIC_VOTES = 40.0
+"""Votes over which textures are averaged."""
+_AUREOLE_DEG, _DISC_DEG = 12.0, 2.5
+_SUN_RATIO, _SATURATED = 1.0, 0.98
+_CLEAR_SPREAD, _CLEAR_FOR_S = 0.15, 3600.0
+"""Spread of the sky's log contrast below which it is clear without the sun, so long after the sun was last seen."""
+_FAIR_SPREAD = 0.2
+"""The same of a sky that has few clouds; the sun's time counts below it."""
+_LEAST_RANGE = 0.02
+"""Of the full scale between the darkest and brightest cells of an image that is not covered."""
+_OTHER_SCENE, _OTHER_SCENE_S = 0.15, 2.0 * 86400.0
+"""Correlation of an image's texture with the stored one below which it shows another scene; after so long in
+succession the stored texture is discarded."""
+_GAMMA, _LEAST_COUNT = 2.2, 2e-5
+"""Of images of 8 bits; share of the full scale that stands for no light."""
+_SWEEPS, _COUPLING, _EDGE = 12, 0.7, 0.25
+_CERTAIN = math.log(9.0)
+"""Log odds of a probability of 0.9, from which on a cell is called free or hidden."""
+_RIM_DEG = 3.0
+_BLUR_PER_CELL = 0.22
+"""Log contrast per cell at the border of dirt on the dome, which is out of focus, at most."""
+_FIT_CELLS, _FIT_ROUNDS = 2500, 6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CellGrid:
+    """The cells of an image and the directions they show."""
+
+    size: tuple[int, int]
+    """Width and height of the image, px."""
+    directions: Cells
+    """(rows, columns, 3) unit vectors of their centres, east-north-up; NaN outside the camera's field."""
+    sky: BoolArray
+    """(rows, columns) whether they lie above the astronomical horizon."""
+    inner: BoolArray
+    """(rows, columns) whether they lie away from the edge of the camera's field, a texture that stands still."""
+    area_deg2: Cells
+    """(rows, columns) solid angles, square degrees."""
+    basis: Cells
+    """(6, rows, columns) terms of the sky's light that do not depend on the sun."""
+    sampled: NDArray[np.int64]
+    """Cells (indices) that the sky's light is fitted to."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.sky.shape[0], self.sky.shape[1]
+
+    @property
+    def resolution_deg(self) -> float:
+        """Size of a cell near the horizon, degrees."""
+        low = self.sky & (self.directions[..., 2] < math.sin(math.radians(30.0)))
+        return math.sqrt(float(np.median(self.area_deg2[low]))) if low.any() else 1.0
+
+
+def cell_grid(camera: Camera) -> CellGrid:
+    """Return the cells of a camera's image."""
+    scale = min(1.0, _CELLS / max(camera.width, camera.height))
+    rows, columns = max(round(camera.height * scale), 1), max(round(camera.width * scale), 1)
+    y, x = np.mgrid[0:rows, 0:columns]
+    centres = np.stack([(x + 0.5) * camera.width / columns - 0.5, (y + 0.5) * camera.height / rows - 0.5], axis=-1)
+    found = inverse_table(camera).directions(centres.reshape(-1, 2)).reshape(rows, columns, 3).astype(np.float32)
+    east, north, up = np.moveaxis(np.nan_to_num(found), -1, 0)
+    sky = np.asarray(up > 0.0)
+    right, down = (np.gradient(found, axis=axis) for axis in (1, 0))
+    area = np.linalg.norm(np.cross(right, down), axis=-1) * np.degrees(1.0) ** 2
+    basis = np.stack([np.ones_like(up), east, north, up, up**2, np.exp(-6.0 * np.abs(up))])
+    cells = np.flatnonzero(up > 0.03)
+    return CellGrid(
+        size=(camera.width, camera.height),
+        directions=found,
+        sky=sky,
+        inner=cv2.erode(sky.astype(np.uint8), np.ones((9, 9), np.uint8), borderValue=0).astype(bool),
+        area_deg2=np.where(sky, np.nan_to_num(area), 0.0).astype(np.float32),
+        basis=np.ascontiguousarray(basis, dtype=np.float32),
+        sampled=cells[:: max(cells.size // _FIT_CELLS, 1)],
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ObstructionSums:
+    """Evidence of obstructions; its size does not depend on the number of images."""
+
+    log_odds: Cells
+    """(rows, columns) of hidden against free."""
+    texture: Cells
+    """(rows, columns) mean of the fine log contrast."""
+    contrast: Cells
+    """(rows, columns) mean log contrast to the sky's light."""
+    last: Cells
+    """Coarse log brightness of the last image."""
+    votes: float = 0.0
+    """Votes that entered the means."""
+    clear_s: float = 0.0
+    """Time with the sun seen, s."""
+    seen_s: float = -math.inf
+    """Last time when the sun was seen, s since 1970."""
+    unix_s: float = -math.inf
+    """Time of the last image, s since 1970."""
+    other_s: float = 0.0
+    """Time with another scene, in succession, s."""
+    counts: Mapping[str, int] = field(default_factory=dict)
+    """Images by their use: clear, cloudy, covered, frozen, other_scene, earlier."""
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether there is a mask: enough time with the sun seen."""
+        return self.clear_s >= _NEEDED_CLEAR_S
+
+    @property
+    def missing_h(self) -> float:
+        """Hours of sunshine until there is a mask."""
+        return max(_NEEDED_CLEAR_S - self.clear_s, 0.0) / 3600.0
+
+
+def no_sums(grid: CellGrid) -> ObstructionSums:
+    """Return the evidence before the first image."""
+    empty = np.zeros(grid.shape, dtype=np.float32)
+    return ObstructionSums(log_odds=empty, texture=empty, contrast=empty, last=np.zeros((64, 64), np.float32))
+
+
+def updated_sums(
+    sums: ObstructionSums,
+    image: Image,
+    grid: CellGrid,
+    *,
+    sun: FloatArray,
+    unix_s: float,
+    sun_seen: bool | None = None,
+) -> ObstructionSums:
+    """Return the evidence with one more image.
+
+    Parameters
+    ----------
+    sums : so far.
+    image : (rows, columns) or (rows, columns, 3); 8 bits are taken as gamma-coded, 16 bits as linear.
+    grid : of the camera.
+    sun : (3,) unit vector of the apparent sun, east-north-up.
+    unix_s : time of the image, s since 1970; an image that is not later than the last one does not vote.
+    sun_seen : whether the sun was found; None: judged from the image.
+
+    Raises
+    ------
+    InputError
+        Where the image has another size than the camera's.
+    """
+    if image.shape[1::-1] != grid.size:
+        width, height = grid.size
+        problem = f"{image.shape[1]}x{image.shape[0]} px, the calibration is of {width}x{height} px"
+        raise InputError(field="image", problem=problem, remedy="give images of the calibrated camera")
+    elapsed_s = unix_s - sums.unix_s
+    if not elapsed_s > 0.0:
+        return _counted(sums, "earlier")
+    counts = _reduced(image, grid.shape)
+    light = _log_light(counts, gamma=_GAMMA if image.dtype == np.uint8 else 1.0)
+    coarse = _cells(cv2.resize(light, (64, 64), interpolation=cv2.INTER_AREA))
+    unusable = _unusable(counts, coarse, sums, grid)
+    kept = replace(sums, last=coarse, unix_s=unix_s)
+    if unusable is not None:
+        return _counted(kept, unusable)
+    texture = _fine(light, counts) * grid.inner
+    vote = min(elapsed_s, _VOTE_S) / _VOTE_S
+    if _is_other_scene(texture, sums, grid):
+        other_s = sums.other_s + min(elapsed_s, 3600.0)
+        if other_s > _OTHER_SCENE_S:
+            return _counted(replace(no_sums(grid), last=coarse, unix_s=unix_s, counts=sums.counts), "other_scene")
+        return _counted(replace(kept, other_s=other_s), "other_scene")
+    return _voted(kept, _CellImage(counts, light, texture), grid, sun=sun, vote=vote, sun_seen=sun_seen)
+
+
+class _CellImage(NamedTuple):
+    """An image by cells: share of the full scale, logarithm of the light, fine part of that."""
+
+    counts: Cells
+    light: Cells
+    texture: Cells
+
+
+def _counted(sums: ObstructionSums, use: str) -> ObstructionSums:
+    return replace(sums, counts={**sums.counts, use: sums.counts.get(use, 0) + 1})
+
+
+def _reduced(image: Image, shape: tuple[int, int]) -> Cells:
+    """Return the means of cells as shares of the full scale; a mosaic's colours are averaged first."""
+    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
+    if image.shape[0] >= 2 * shape[0]:
+        grey = cv2.resize(grey, (image.shape[1] // 2, image.shape[0] // 2), interpolation=cv2.INTER_AREA)
+    cells = cv2.resize(grey, shape[::-1], interpolation=cv2.INTER_AREA)
+    return _cells(cells) / np.float32(np.iinfo(image.dtype).max)
+
+
+def _cells(values: ArrayLike) -> Cells:
+    return np.asarray(values, dtype=np.float32)
+
+
+def _log_light(counts: Cells, *, gamma: float) -> Cells:
+    return np.float32(gamma) * np.log(np.maximum(counts, np.float32(_LEAST_COUNT)))
+
+
+def _unusable(counts: Cells, coarse: Cells, sums: ObstructionSums, grid: CellGrid) -> str | None:
+    """Return why an image does not vote: the lens is covered, or the picture is the last one again."""
+    low, high = np.quantile(counts.ravel()[grid.sampled], [0.02, 0.98])
+    if high - low < _LEAST_RANGE * max(high, 0.05):
+        return "covered"
+    return "frozen" if float(np.median(np.abs(coarse - sums.last))) < 1e-6 else None
+
+
+def _fine(light: Cells, counts: Cells) -> Cells:
+    """Return the fine part of the log brightness, 0 where cells saturate."""
+    fine = np.clip(light - cv2.blur(light, (3, 3)), -0.5, 0.5)
+    saturated = cv2.dilate((counts > _SATURATED).astype(np.uint8), np.ones((5, 5), np.uint8))
+    return np.where(saturated > 0, np.float32(0.0), fine)
+
+
+def _is_other_scene(texture: Cells, sums: ObstructionSums, grid: CellGrid) -> bool:
+    """Return whether an image's texture is not the stored one, where that is known and seen."""
+    strong = (np.abs(sums.texture) > 2.0 * _STATIC) & (grid.basis[3] > math.sin(math.radians(_RIM_DEG)))
+    if sums.votes < 0.25 * _STATIC_VOTES or np.count_nonzero(strong) < 200:
+        return False
+    now, stored = texture[strong], sums.texture[strong]
+    size = float(np.sqrt(np.mean(now**2)))
+    if size < _STATIC:  # fog, snow: nothing is seen, of any scene
+        return False
+    return float(np.mean(now * stored)) < _OTHER_SCENE * size * float(np.sqrt(np.mean(stored**2)))
+
+
+def _voted(
+    sums: ObstructionSums, image: _CellImage, grid: CellGrid, *, sun: FloatArray, vote: float, sun_seen: bool | None
+) -> ObstructionSums:
+    """Return the evidence with the votes of a usable image."""
+    towards = _weighted(sun, grid.basis[1:4])
+    sky, spread = _sky_light(image.light, sums, grid, towards)
+    contrast = np.clip(image.light - sky, -2.0, 2.0)
+    seen = sun_seen if sun_seen is not None else _sun_is_seen(image, grid, towards)
+    clear = seen or (sun[2] > 0.0 and spread < _CLEAR_SPREAD and sums.unix_s - sums.seen_s < _CLEAR_FOR_S)
+    weight = vote / (1.0 + (spread / _CLEAR_SPREAD) ** 2) ** 2 * (1.0 if clear else 0.35)
+    dark = np.clip((-contrast - _DARK) / _DARK_WIDTH, -1.0, 2.0)
+    still = _stillness(image.texture, sums)
+    fading = np.clip(1.0 - (contrast - _BRIGHT) / _BRIGHT_WIDTH, 0.2, 1.0) * (1.0 - still)
+    shows_sky = clear or spread > _CLEAR_SPREAD  # in fog and under an even overcast all looks like the sky
+    score = np.where(dark < 0.0, dark * fading if shows_sky else 0.0, dark) + still
+    usable = (towards < math.cos(math.radians(_AUREOLE_DEG))) & (image.counts < _SATURATED)
+    odds = sums.log_odds * np.float32(0.5 ** (vote * _VOTE_S / _HALF_LIFE_S))
+    voted = odds + np.where(usable, weight * score, 0.0).astype(np.float32)
+    if not clear:
+        voted = np.where(voted > odds, np.maximum(odds, np.minimum(voted, _MOST_CLOUDY_ODDS)), voted)
+    if seen:
+        voted[towards > math.cos(math.radians(0.4))] -= 4.0 * vote
+    share = np.float32(weight / (min(sums.votes, _STATIC_VOTES) + weight))
+    mean_contrast = sums.contrast + share * np.where(usable, contrast - sums.contrast, 0.0)
+    mean_texture = sums.texture + share * (image.texture - sums.texture)
+    found = replace(
+        sums,
+        log_odds=np.clip(voted, -_MOST_ODDS, _MOST_ODDS),
+        texture=mean_texture.astype(np.float32),
+        contrast=mean_contrast.astype(np.float32),
+        votes=sums.votes + weight,
+        clear_s=sums.clear_s + vote * _VOTE_S * (seen and spread < _FAIR_SPREAD),
+        seen_s=sums.unix_s if seen else sums.seen_s,
+        other_s=0.0,
+    )
+    return _counted(found, "clear" if clear else "cloudy")
+
+
+def _weighted(weights: FloatArray, planes: Iterable[Cells]) -> Cells:
+    """Return the sum of planes (rows, columns), each times its weight."""
+    terms = (np.float32(weight) * plane for weight, plane in zip(weights.tolist(), planes, strict=True))
+    total = next(terms)
+    for term in terms:
+        total += term
+    return total
+
+
+def _sky_light(light: Cells, sums: ObstructionSums, grid: CellGrid, towards: Cells) -> tuple[Cells, float]:
+    """Return the log brightness of a smooth sky, fitted to cells that are not dark, and the spread about it."""
+    of_sun = [towards * towards, np.float32(1.0) / (np.float32(1.1) - towards)]
+    picked = [one.ravel()[grid.sampled] for one in (*grid.basis, *of_sun)]
+    rows = np.stack(picked, axis=-1).astype(np.float64)
+    values = light.ravel()[grid.sampled].astype(np.float64)
+    up = rows[:, 3]
+    free = 1.0 / (1.0 + np.exp(np.clip(sums.log_odds.ravel()[grid.sampled], -4.0, 4.0)))
+    prior = free * (towards.ravel()[grid.sampled] < math.cos(math.radians(_AUREOLE_DEG)))
+    weight, ridge = prior * (0.1 + up), np.diag([0.0, 1.0, 1.0, 1.0, 4.0, 4.0, 1.0, 1.0])
+    residual = values
+    for _ in range(_FIT_ROUNDS):
+        weighted = rows * weight[:, None]
+        terms = np.linalg.solve(weighted.T @ rows + ridge + 1e-9 * np.eye(8), weighted.T @ values)
+        residual = values - rows @ terms
+        weight = prior * (0.2 + up) / (1.0 + (residual / np.where(residual < 0.0, 0.25, 0.5)) ** 2)
+    sky = _weighted(np.asarray(terms, dtype=np.float64), (*grid.basis, *of_sun))
+    high = (up > 0.17) & (prior > 0.3)
+    spread = 1.48 * float(np.median(np.abs(residual[high]))) if np.count_nonzero(high) else 1.0
+    return sky, spread
+
+
+def _sun_is_seen(image: _CellImage, grid: CellGrid, towards: Cells) -> bool:
+    """Return whether the brightest cell about the sun's place stands above the sky: far, or saturated."""
+    near = towards > math.cos(math.radians(_DISC_DEG))
+    if not near.any():
+        return False
+    ratio = float(image.light[near].max()) - float(np.median(image.light.ravel()[grid.sampled]))
+    return ratio > (_SUN_RATIO if image.counts[near].max() > _SATURATED else 3.5 * _SUN_RATIO)
+
+
+def _stillness(texture: Cells, sums: ObstructionSums) -> Cells:
+    """Return (rows, columns), 0 to 1: how surely a texture is there that stood in earlier images already."""
+    if sums.votes < 0.1 * _STATIC_VOTES:
+        return np.zeros_like(texture)
+    stored = sums.texture
+    energy = cv2.blur(stored * stored, (5, 5))
+    agreement = cv2.blur(texture * stored, (5, 5)) / (energy + 1e-4)
+    still = np.clip(np.sqrt(np.maximum(energy, 0.0)) / _STATIC - 1.0, 0.0, 1.0) * np.clip(
+        2.0 * agreement - 0.5, 0.0, 1.0
+    )
+    return _cells(cv2.erode(_cells(still), np.ones((9, 9), np.uint8)))  # what the means have widened
+
+
+# The mask of the evidence.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ObstructionMask:
+    """What hides the sky, by cells."""
+
+    grid: CellGrid
+    """Of the camera."""
+    probability: Cells
+    """(rows, columns) of being hidden."""
+    state: NDArray[np.uint8]
+    """(rows, columns): `FREE`, `UNKNOWN`, `SOILED` or `HIDDEN`."""
+
+    def image(self) -> NDArray[np.uint8]:
+        """Return the states of all pixels (height, width)."""
+        fine = cv2.resize(self.probability, self.grid.size, interpolation=cv2.INTER_LINEAR)
+        state = np.where(fine > 0.5, HIDDEN, FREE).astype(np.uint8)
+        for value in (UNKNOWN, SOILED):
+            holds = cv2.resize((self.state == value).astype(np.uint8), self.grid.size, interpolation=cv2.INTER_NEAREST)
+            state[holds > 0] = value
+        return state
+
+    def hidden(self) -> BoolArray:
+        """Return (height, width): which pixels do not show the sky, dirt on the dome with them."""
+        return np.asarray(np.isin(self.image(), (HIDDEN, SOILED)))
+
+
+def obstruction_mask(sums: ObstructionSums, grid: CellGrid) -> ObstructionMask:
+    """Return the mask: the evidence, smoothed over neighbours of like brightness by mean-field sweeps."""
+    links = [(axis, np.exp(-((np.diff(sums.contrast, axis=axis) / _EDGE) ** 2))) for axis in (0, 1)]
+    odds = sums.log_odds.copy()
+    for _ in range(_SWEEPS):
+        belief = np.tanh(0.5 * odds)
+        odds = sums.log_odds.copy()
+        for axis, link in links:
+            before, after = (slice(None, -1), slice(1, None))
+            lower, upper = (before, after) if axis == 0 else ((slice(None), before), (slice(None), after))
+            odds[lower] += 2.0 * _COUPLING * link * belief[upper]
+            odds[upper] += 2.0 * _COUPLING * link * belief[lower]
+    odds[~grid.sky] = _MOST_ODDS
+    state = np.where(odds > _CERTAIN, HIDDEN, np.where(odds < -_CERTAIN, FREE, UNKNOWN)).astype(np.uint8)
+    state[_soiled(state == HIDDEN, sums.contrast, grid)] = SOILED
+    probability = (1.0 / (1.0 + np.exp(-np.clip(odds, -30.0, 30.0)))).astype(np.float32)
+    return ObstructionMask(grid=grid, probability=probability, state=state)
+
+
+def _soiled(hidden: BoolArray, contrast: Cells, grid: CellGrid) -> BoolArray:
+    """Return which hidden cells are dirt on the dome: away from the rim and without a sharp border."""
+    rim = ~(np.nan_to_num(grid.directions[..., 2], nan=-1.0) > math.sin(math.radians(_RIM_DEG)))
+    n, labels = cv2.connectedComponents((hidden | rim).astype(np.uint8), connectivity=8)
+    slope = cv2.morphologyEx(contrast, cv2.MORPH_GRADIENT, np.ones((2, 2), np.uint8))
+    soiled = np.zeros(hidden.shape, dtype=bool)
+    for label in set(range(1, n)) - set(np.unique(labels[rim]).tolist()):
+        part = labels == label
+        border = cv2.dilate(part.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool) & ~part
+        if float(np.median(slope[border])) < _BLUR_PER_CELL:
+            soiled |= part
+    return soiled
+
+
+class Change(NamedTuple):
+    """An obstruction that appeared or is gone: direction of its centre, degrees, and solid angle, square degrees."""
+
+    appeared: bool
+    azimuth_deg: float
+    elevation_deg: float
+    area_deg2: float
+
+
+def mask_changes(before: ObstructionMask, after: ObstructionMask, *, least_deg2: float = 4.0) -> list[Change]:
+    """Return the obstructions that appeared and those that are gone, the largest first; masks of one camera."""
+    found = []
+    for appeared, was, now in ((True, FREE, HIDDEN), (False, HIDDEN, FREE)):
+        changed = ((before.state == was) & (after.state == now)).astype(np.uint8)
+        core = cv2.dilate(cv2.erode(changed, np.ones((2, 2), np.uint8)), np.ones((5, 5), np.uint8))
+        n, labels = cv2.connectedComponents(core * changed)
+        for label in range(1, n):
+            part = labels == label
+            area = float(after.grid.area_deg2[part].sum())
+            east, north, up = after.grid.directions[part].mean(axis=0).tolist()
+            if area >= least_deg2:
+                elevation = math.degrees(math.atan2(up, math.hypot(east, north)))
+                found.append(Change(appeared, math.degrees(math.atan2(east, north)) % 360.0, elevation, area))
+    return sorted(found, key=lambda one: -one.area_deg2)
+
+
+def carried_over(sums: ObstructionSums, camera: Camera, grid: CellGrid) -> ObstructionSums:
+    """Return the evidence of a camera's former pose for its new one, by directions; it keeps half its log odds.
+
+    Parameters
+    ----------
+    sums : of the former pose.
+    camera : the former pose.
+    grid : of the new pose.
+    """
+    directions = np.nan_to_num(grid.directions.reshape(-1, 3).astype(np.float64), nan=0.0)
+    at = project_fast(camera, directions).reshape(*grid.shape, 2)
+    odds, contrast = (sampled_cells(one, at, camera) for one in (0.5 * sums.log_odds, sums.contrast))
+    empty = no_sums(grid)
+    return replace(
+        sums, log_odds=odds, contrast=contrast, texture=empty.texture, votes=0.0, other_s=0.0, last=empty.last
+    )
+
+
+def sampled_cells(values: Cells, pixels: FloatArray, camera: Camera) -> Cells:
+    """Return values of cells (rows, columns) at pixels (..., ..., 2), between cells linearly; 0 outside the image."""
+    scale = np.array([values.shape[1] / camera.width, values.shape[0] / camera.height])
+    at = _cells(np.nan_to_num((pixels + 0.5) * scale - 0.5, nan=-9.0))
+    columns, rows = np.ascontiguousarray(at[..., 0]), np.ascontiguousarray(at[..., 1])
+    found = cv2.remap(_cells(values), columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0.0)
+    return _cells(found)

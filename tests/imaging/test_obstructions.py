@@ -1,0 +1,141 @@
+"""Obstruction mask and horizon profile, of a rendered sky that shares no code with them."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sunarc.common.errors import InputError
+from sunarc.imaging.horizon import horizon_profile
+from sunarc.imaging.obstructions import (
+    FREE,
+    HIDDEN,
+    SOILED,
+    UNKNOWN,
+    ObstructionSums,
+    carried_over,
+    cell_grid,
+    mask_changes,
+    no_sums,
+    obstruction_mask,
+    updated_sums,
+)
+from sunarc.optics.pose import rotation_matrix, rotation_vector
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "docs" / "studies"))
+from obstruction_world import World
+from obstructions import Learner, horizon_errors
+
+SIZE = 256
+
+
+@pytest.fixture(scope="module")
+def clear_day() -> Learner:
+    """Return what a clear day has shown to a small camera."""
+    learner = Learner(World(n=SIZE, seed=3))
+    learner.day(0, ["clear"], every_min=20.0)
+    return learner
+
+
+def shown(learner: Learner, image: np.ndarray, *, later_s: float = 600.0) -> ObstructionSums:
+    """Return the sums with one more image, at noon of the next day."""
+    time = learner.world.times(1)[48]
+    unix_s = time.timestamp() + later_s
+    return updated_sums(learner.sums, image, learner.grid, sun=learner.world.sun(time), unix_s=unix_s)
+
+
+def test_a_clear_day_makes_a_mask_near_the_truth(clear_day: Learner) -> None:
+    assert clear_day.sums.is_ready
+    assert 0.95 < clear_day.iou() <= 1.0
+    assert clear_day.false_share() < 0.001
+
+
+def test_the_horizon_is_within_half_a_degree_where_its_edge_is_sharp(clear_day: Learner) -> None:
+    near, within_two_sigma = horizon_errors(clear_day)
+    assert near >= 0.9
+    assert within_two_sigma >= 0.85
+
+
+def test_fog_of_days_makes_no_mask() -> None:
+    learner = Learner(World(n=SIZE, seed=3, linear=False))
+    for day in range(3):
+        learner.day(day, ["fog"], every_min=60.0)
+    assert not learner.sums.is_ready
+    assert learner.sums.missing_h == 4.0
+    high = learner.grid.directions[..., 2] > np.sin(np.radians(5.0))
+    assert np.all(learner.mask().state[high] == UNKNOWN)
+
+
+def test_images_that_are_not_of_the_scene_are_counted_and_do_not_vote(clear_day: Learner) -> None:
+    world, time = clear_day.world, clear_day.world.times(1)[48]
+    noon = world.frame(time, "clear")
+    turned = np.ascontiguousarray(np.rot90(noon))
+    again = shown(clear_day, noon)
+    frozen = updated_sums(again, noon, clear_day.grid, sun=world.sun(time), unix_s=again.unix_s + 60.0)
+    cases = {
+        "covered": (clear_day.sums, shown(clear_day, np.full_like(noon, 40))),
+        "other_scene": (clear_day.sums, shown(clear_day, turned)),
+        "earlier": (clear_day.sums, shown(clear_day, noon, later_s=-86400.0 * 2)),
+        "frozen": (again, frozen),
+    }
+    for use, (before, after) in cases.items():
+        assert after.counts.get(use, 0) == before.counts.get(use, 0) + 1, use
+        assert np.array_equal(after.log_odds, before.log_odds), use
+
+
+def test_an_image_of_another_size_is_refused(clear_day: Learner) -> None:
+    with pytest.raises(InputError) as raised:
+        shown(clear_day, np.zeros((100, 100), np.uint8))
+    assert raised.value.field == "image"
+
+
+def test_a_blurred_spot_away_from_the_rim_is_soiled_and_not_of_the_horizon() -> None:
+    learner = Learner(World(n=SIZE, seed=3))
+    y, x = np.mgrid[0:SIZE, 0:SIZE]
+    dirt = 1.0 - 0.9 * np.exp(-((((x - 150) ** 2 + (y - 120) ** 2) / (2 * 9.0**2)) ** 2))
+    world = learner.world
+    for time in world.times(0, every_min=20.0):
+        image = (world.frame(time, "clear") * dirt).astype(np.uint16)
+        sun = world.sun(time)
+        learner.sums = updated_sums(learner.sums, image, learner.grid, sun=sun, unix_s=time.timestamp())
+    mask = learner.mask()
+    assert mask.image()[120, 150] == SOILED
+    assert not np.any(mask.state[100:140, 140:160] == HIDDEN)
+    assert mask.hidden()[120, 150]
+    clean = horizon_profile(mask, learner.camera)
+    assert np.max(clean.elevation_deg) < 45.0
+
+
+def test_a_crane_appears_in_the_changes_with_its_direction(clear_day: Learner) -> None:
+    learner = Learner(clear_day.world)
+    learner.sums, before = clear_day.sums, clear_day.mask()
+    for day in (1, 2):
+        learner.day(day, ["clear"], crane=True, every_min=20.0)
+    appeared = mask_changes(before, learner.mask())
+    assert appeared
+    assert all(one.appeared for one in appeared)
+    away = (appeared[0].azimuth_deg - clear_day.world.crane_at + 180.0) % 360.0 - 180.0
+    assert -10.0 < away < 30.0
+    assert 15.0 < appeared[0].elevation_deg < 35.0
+    assert [one.appeared for one in mask_changes(learner.mask(), before)][:1] == [False]
+
+
+def test_the_evidence_is_carried_over_a_turn_by_directions(clear_day: Learner) -> None:
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    rotation = rotation_vector(turn @ rotation_matrix(clear_day.camera.rotation_cam_enu))
+    turned = replace(clear_day.camera, rotation_cam_enu=rotation)
+    grid = cell_grid(turned)
+    carried = obstruction_mask(carried_over(clear_day.sums, clear_day.camera, grid), grid)
+    before = clear_day.mask().state
+    equal = np.maximum(*(np.mean(np.rot90(before, k)[grid.sky] == carried.state[grid.sky]) for k in (1, 3)))
+    assert equal > 0.95
+
+
+def test_nothing_is_known_before_the_first_image(clear_day: Learner) -> None:
+    empty = no_sums(clear_day.grid)
+    assert not empty.is_ready
+    assert not np.any(obstruction_mask(empty, clear_day.grid).state[clear_day.grid.sky] == FREE)
