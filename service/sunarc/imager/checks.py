@@ -160,7 +160,7 @@ _RECEIVER_S = 12.0
 
 
 def run_checks(settings: Settings, *, clock: Clock) -> Iterator[CheckResult]:
-    """Run all checks; the results are what `sunarc check` prints."""
+    """Run all checks; the results are the output of `sunarc check`."""
     running = _running(settings)
     yield CheckResult("settings", "ok", f"camera {settings.name!r}, state in {settings.state}")
     yield _checked("versions", _versions)
@@ -183,7 +183,7 @@ def run_checks(settings: Settings, *, clock: Clock) -> Iterator[CheckResult]:
 
 
 def run_camera_checks(settings: Settings, *, clock: Clock) -> Iterator[CheckResult]:
-    """Run the checks of the camera alone; the results are what `sunarc check --camera` prints."""
+    """Run the checks of the camera alone; the results are the output of `sunarc check --camera`."""
     running = _running(settings)
     if running is not None:
         outcome, text = _camera_in_use(running)
@@ -193,7 +193,7 @@ def run_camera_checks(settings: Settings, *, clock: Clock) -> Iterator[CheckResu
 
 
 _PICTURES = 16
-"""Pictures of a folder that are looked at: on a small computer a few seconds for each."""
+"""Pictures of a folder that are read: on a small computer a few seconds for each."""
 _QUESTIONS = {
     "database": "--latitude, --longitude, --altitude, --name",
     "state folder": "--state",
@@ -207,16 +207,16 @@ _QUESTIONS = {
     "site": "--latitude, --longitude",
     "clock": "no option: it looks again",
 }
-"""The options of `sunarc init` that answer what a check may complain of."""
+"""The options of `sunarc init` that answer the complaints of a check."""
 
 
 def question_of(result: CheckResult | TriedResult) -> str | None:
-    """Return the option of `sunarc init` that answers a complaint; None where there is none, or no complaint."""
+    """Return the option of `sunarc init` that answers a complaint; None without one, and without a complaint."""
     return None if result.outcome == "ok" else _QUESTIONS.get(result.what)
 
 
 def try_first(settings: Settings, *, addresses: Sequence[str], picture: Path) -> Iterator[TriedResult]:
-    """Try what a new settings file names: cameras, pictures, site, clock and disk; nothing is searched for.
+    """Try the parts that a new settings file names: cameras, pictures, site, clock and disk; nothing is searched for.
 
     Parameters
     ----------
@@ -299,7 +299,7 @@ def _pictures(options: FolderOptions, site: Site, picture: Path | None) -> Itera
 
 
 def _snapshot(settings: Settings, shown: Path | None) -> tuple[Outcome, str, str]:
-    """Ask a camera for its picture as the service does; return the code, too, of what is wrong."""
+    """Ask a camera for its picture as the service does; return the code of the fault, too."""
     options = settings.rtsp if settings.source == "rtsp" else settings.http
     if options is None:
         return "fail", f"setting {settings.source} is missing", ""
@@ -348,7 +348,7 @@ def _room_for(state: Path) -> tuple[Outcome, str]:
 
 
 def _optional(settings: Settings, clock: Clock) -> Iterator[CheckResult]:
-    """Try the parts that the settings ask for, by what `serve` does with them; parts that are off give no result."""
+    """Try the parts that the settings enable, as `serve` does; disabled parts give no result."""
     access = with_credentials(settings.api)
     for name, path in (("token_file", access.token_file), ("read_token_file", access.read_token_file)):
         if path is not None:
@@ -450,7 +450,7 @@ def _state(settings: Settings) -> tuple[Outcome, str]:
 
 
 def _answering(archive: Archive, camera: str, kept: str) -> tuple[Outcome, str]:
-    """Return what a database keeps, and that a provisional calibration is served from it."""
+    """Return the tables of a database that answer, and that a provisional calibration is served from it."""
     current = archive.calibrations.current_model(camera)
     if current is None or current.sigma_limit_deg is None:
         return "ok", kept

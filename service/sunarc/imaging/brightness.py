@@ -1,4 +1,4 @@
-"""Brightness of frames beside one another: exposures that contradict each other, a change of all the sky, darkness."""
+"""Brightness of frames of one cycle: exposures that contradict each other, a change of all the sky, darkness."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def _pair(shorter: Exposed, longer: Exposed) -> _Pair:
 
 
 def _light(pair: _Pair, *, most: float) -> float | None:
-    """Return the light of the shorter exposure in terms of what is expected; None where that is near enough to 1."""
+    """Return the light of the shorter exposure in terms of the expected one; None where that is near enough to 1."""
     bright, dark = (_beside(group, pair) for group in (_brightest(pair), pair.dark))
     if min(bright.size, dark.size) < _LEAST_BRIGHT_PX // 3:
         return None
@@ -139,7 +139,7 @@ def _brightest(pair: _Pair) -> IntArray:
 
 
 def _beside(indices: IntArray, pair: _Pair) -> IntArray:
-    """Return the pixels beside those chosen, which were not chosen for their noise, nor for being hot."""
+    """Return the pixels at the sides of those chosen, which were not chosen for their noise, nor for being hot."""
     beside = (indices + _ASIDE_PX) % pair.long.size
     return beside[pair.long[beside] < _CEILING * pair.full_scale]
 
@@ -175,7 +175,7 @@ _SAME_EXPOSURE = 0.01
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Level:
-    """How bright the exposures of one cycle are, coarsely.
+    """Brightness of the exposures of one cycle, coarsely.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""How long to expose for the sun: a pure controller on the last peaks."""
+"""Exposure control for the sun: a pure controller on the last peaks."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from sunarc.sky.site import clear_transmission
 _BRACKET_RATIO = 4.0
 """The two exposures of a bracket are this factor apart: with a band of a factor of 2 they span a factor of 8."""
 _MAX_CHANGE = 16.0
-"""Factor by which an exposure changes at most from one cycle to the next: it limits what one wrong peak can do."""
+"""Factor by which an exposure changes at most from one cycle to the next: it limits the effect of one wrong peak."""
 LOST_AFTER = 3
 """Cycles without a peak after which the search starts anew: 90 s at the default cadence, a small cloud's passage."""
 _STEADY_AFTER = 2
@@ -27,7 +27,7 @@ _LOW_SUN_ZENITH_DEG = 80.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SunExposureOptions:
-    """What the controller aims at.
+    """Target and limits of the controller.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class SunExposureOptions:
     first_us: Annotated[float, Gt(0.0), Le(1e9)] = 20.0
 
     def __post_init__(self) -> None:
-        """Refuse what makes no sense."""
+        """Refuse invalid options."""
         require_bounds(self, section_path="sun_exposure")
         if self.target_low >= self.target_high:
             problem = f"{self.target_low:g} is not below sun_exposure.target_high = {self.target_high:g}"
@@ -49,7 +49,7 @@ class SunExposureOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExposureBounds:
-    """What the camera can do: shortest and longest exposure, and its step (0: any), µs."""
+    """Bounds of the camera: shortest and longest exposure, and its step (0: any), µs."""
 
     minimum_us: float
     maximum_us: float
@@ -67,7 +67,7 @@ class ExposureBounds:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SunExposureState:
-    """What the controller remembers from cycle to cycle.
+    """State of the controller from cycle to cycle.
 
     Attributes
     ----------
@@ -95,7 +95,7 @@ class Peak:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SunLook:
-    """What a cycle's sun exposures showed, and what is known of the sun.
+    """Result of a cycle's sun exposures, and the prediction of the sun.
 
     Attributes
     ----------

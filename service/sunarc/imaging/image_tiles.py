@@ -57,7 +57,7 @@ class ImageTiles:
 
     @property
     def is_textured(self) -> bool:
-        """Whether most of what is seen is more than black, saturation and text."""
+        """Return whether most of the visible image is more than black, saturation and text."""
         n = int(np.count_nonzero(self.textured))
         return n >= max(_FEWEST, _TEXTURED_SHARE * self.textured.size)
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from sunarc.common.array_types import Image
 
 MID_TONES = (0.02, 0.98)
-"""Bounds as shares of the full scale: what is darker is black level and text, what is brighter saturates."""
+"""Bounds as shares of the full scale: darker is black level and text, brighter saturates."""
 _STRIP_ROWS = 64
 """Rows that are converted at a time: NumPy's indices take 8 bytes each."""
 

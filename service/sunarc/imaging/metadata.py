@@ -1,7 +1,7 @@
 """Metadata of an image file: a document in JSON, where the readers of PNG and JPEG look for text.
 
 In a PNG it stands in an ``iTXt`` chunk named ``sunarc`` (Pillow: ``picture.text["sunarc"]``; exiftool shows it), with
-the standard's ``Software`` and ``Creation Time`` beside it; in a JPEG it is the comment (``picture.info["comment"]``).
+the standard's ``Software`` and ``Creation Time`` with it; in a JPEG it is the comment (``picture.info["comment"]``).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Pictures: the pixels of a file's content, colours of a mosaic, an 8-bit image for people to look at."""
+"""Pictures: the pixels of a file's content, colours of a mosaic, an 8-bit image for people to see."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _CODES: dict[Bayer, int] = {
 
 
 def decoded(encoded: bytes, flags: int = cv2.IMREAD_UNCHANGED) -> NDArray[Any] | None:
-    """Return the pixels of an image file's content, as `cv2.imdecode` does; None where it is none that can be decoded.
+    """Return the pixels of an image file's content, as `cv2.imdecode` does; None where it cannot be decoded.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def decoded(encoded: bytes, flags: int = cv2.IMREAD_UNCHANGED) -> NDArray[Any] |
 
 
 def _chunks_are_whole(png: bytes) -> bool:
-    """Whether all chunks are within the file; for one that says to be longer the decoder takes gigabytes."""
+    """Return whether all chunks are within the file; for one that says to be longer the decoder takes gigabytes."""
     at, kind = len(_PNG), b""
     while at + 12 <= len(png) and kind != b"IEND":
         kind = png[at + 4 : at + 8]

@@ -23,7 +23,7 @@ _log = logging.getLogger(__name__)
 
 
 def camera_opener(settings: Settings, clock: Clock) -> Callable[[], SkyCamera]:
-    """Return what opens the camera that the settings name."""
+    """Return the opener of the camera that the settings name."""
     camera, replay = settings.camera, settings.replay
     if settings.source == "aravis" and camera is not None:
         return lambda: open_aravis(camera, clock)
@@ -127,7 +127,7 @@ def _open_epoch(archive: Archive, camera: str, at: datetime) -> None:
 
 
 def camera_record(info: CameraInfo, *, name: str, site: Site) -> CameraRecord:
-    """Return what the archive stores of an open camera at a site."""
+    """Return the archive's record of an open camera at a site."""
     return CameraRecord.at(
         site,
         name=name,

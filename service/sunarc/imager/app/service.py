@@ -58,7 +58,7 @@ _WAITING_FRAMES = 4
 
 
 def night_capture(options: NightOptions, site_with_air_at: Callable[[datetime], Site]) -> NightCapture | None:
-    """Return what joins the night's capture and its worker; None where the night is not worked."""
+    """Return the capture of the night joined to its worker; None where the night is not worked."""
     if not options.enabled:
         return None
     moon = MoonExposures(lambda time: moon_disc(time.timestamp(), site_with_air_at(time)))
@@ -70,7 +70,7 @@ def night_capture(options: NightOptions, site_with_air_at: Callable[[datetime], 
 
 
 def night_worker(service: Service, night: NightCapture) -> NightWorker:
-    """Return the worker that looks at the stars."""
+    """Return the worker of the stars."""
     return NightWorker(
         night,
         camera=service.camera,
@@ -226,7 +226,7 @@ class Service:
 
     @property
     def _in_real_time(self) -> bool:
-        """Whether times of frames go on as the host's do; a replay's, a folder's and a simulation's jump."""
+        """Return whether times of frames go on as the host's do; a replay's, a folder's and a simulation's jump."""
         return self.settings.source not in {"replay", "folder"} and self.settings.capture.speed == 1.0
 
     def _cadence(self) -> LearnedCadence:
@@ -234,7 +234,7 @@ class Service:
         return LearnedCadence(self.camera, self.settings.capture.cadence_s if folder is None else folder.cadence_s)
 
     def _followed_folder(self) -> tuple[FolderWorker | None, FolderArchiveWorker | None]:
-        """Return what follows the folder of the settings, and what analyses its older images; None without one."""
+        """Return the follower of the folder of the settings, and the analysis of its older images; None without one."""
         settings, options = self.settings, self.settings.folder
         if settings.source != "folder" or options is None:
             return None, None
@@ -282,7 +282,7 @@ class Service:
         return follower, behind
 
     def _snapshot_worker(self) -> SnapshotWorker | None:
-        """Return what asks a camera for pictures by HTTP or RTSP; None where the source is another one."""
+        """Return the worker that asks a camera for pictures by HTTP or RTSP; None for another source."""
         settings = self.settings
         options = {"http": settings.http, "rtsp": settings.rtsp}.get(settings.source)
         if options is None:
@@ -317,7 +317,7 @@ class Service:
         return worker
 
     def workers(self) -> tuple[Supervised, ...]:
-        """Return what the supervisor keeps alive; consumers first, so that producers find them ready."""
+        """Return the workers that the supervisor keeps alive; consumers first, so that producers find them ready."""
         return (
             self._supervised("clock", lambda: self.clock_watch),
             self._supervised("disk", self.disk_worker),
@@ -404,7 +404,7 @@ class Service:
         return self.images.newest(kind="hdr.jpg", until=self.frame_time.now())
 
     def open_and_remember(self) -> SkyCamera:
-        """Open the camera and write down what it is; a disk that refuses does not keep it from its work."""
+        """Open the camera and store its record; a disk that refuses does not keep it from its work."""
         camera = self._open_camera()
         try:
             require_same_camera(self.archive, name=self.settings.name, info=camera.info)

@@ -1,4 +1,4 @@
-"""What a life of the service reports of itself: the line of `systemctl status`, and that no frame has come yet."""
+"""Report of a life of the service: the line of `systemctl status`, and the condition that no frame has come yet."""
 
 from __future__ import annotations
 

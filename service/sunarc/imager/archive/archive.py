@@ -198,6 +198,6 @@ class CameraArchive:
         kind: str | None = None,
         details: Mapping[str, Any] = MappingProxyType({}),
     ) -> Event:
-        """Store the event of a finding and return it; `details` are what the finding's data do not say."""
+        """Store the event of a finding and return it; `details` are further data than the finding's."""
         event = Event.of(finding, time=time, severity=severity, camera=self.name, kind=kind, details=details)
         return self.archive.events.add(event)

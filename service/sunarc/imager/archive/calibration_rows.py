@@ -88,7 +88,7 @@ def _times(row: RowMapping) -> tuple[object, ...]:
 
 
 def _damaged(values: dict[str, Any]) -> CalibrationRecord:
-    """Return a record that shows what is left of a damaged calibration, with a document that no fit can use."""
+    """Return a record of the rest of a damaged calibration, with a document that no fit can use."""
     shown = {
         **values,
         "state": values["state"] or "refused",
@@ -121,7 +121,7 @@ def with_interval(record: CalibrationRecord) -> CalibrationRecord:
 
 
 def wrong_state(calibration_id: str, state: str, *, remedy: str) -> ConflictError:
-    """Return the refusal of what a calibration's state does not allow."""
+    """Return the refusal of a change that a calibration's state does not allow."""
     return ConflictError(field="id", problem=f"calibration {calibration_id} {state}", remedy=remedy)
 
 
@@ -137,7 +137,7 @@ def end_others(connection: Connection, camera: str, at: datetime) -> None:
 
 
 def clear_interval(connection: Connection, camera: str, since: datetime, until: datetime) -> None:
-    """Take `since` <= t < `until` out of the validity of a camera's calibrations; what is valid beyond begins there."""
+    """Take `since` <= t < `until` out of the validity of a camera's calibrations; later parts begin at `until`."""
     c = calibration.c
     filters = (c.camera == camera, c.state.in_(SERVED))
     beyond = or_(c.valid_until.is_(None), c.valid_until > until)

@@ -45,7 +45,7 @@ _FIELDS = ("id", "camera", "method", "pose_epoch")
 
 
 class CalibrationStore(Part):
-    """The calibrations, none of which is ever deleted; each decision by hand is also an event."""
+    """The calibrations, which are never deleted; each decision by hand is also an event."""
 
     def __init__(self, database: Database) -> None:
         super().__init__(database)
@@ -104,7 +104,7 @@ class CalibrationStore(Part):
         return with_interval(activated)
 
     def answer_between(self, calibration_id: str, *, since: datetime, until: datetime) -> CalibrationRecord:
-        """Make a candidate valid for past times, `since` <= t < `until`, in place of what was valid then.
+        """Make a candidate valid for past times, `since` <= t < `until`, in place of the valid ones.
 
         What began before `since` ends there; what began between and goes on beyond begins at `until`. Where one answers
         from before `since` until after `until`, or is pinned, nothing is changed: the candidate is returned as it was.
@@ -220,7 +220,7 @@ class CalibrationStore(Part):
         return None
 
     def _may_stand_in(self, connection: Connection, camera: str, *, until: datetime) -> list[ColumnElement[bool]]:
-        """Return the conditions on what answered until a time and may answer again.
+        """Return the conditions of a calibration that answered until a time and may answer again.
 
         It is of the lens of that time, and of no pose epoch that was closed as wrong.
         """
@@ -240,7 +240,7 @@ class CalibrationStore(Part):
             return connection.scalar(select(c.created_at).where(*filters).order_by(c.created_at.desc()).limit(1))
 
     def get(self, calibration_id: str) -> CalibrationRecord:
-        """Return a calibration by its id; NotFoundError when there is none, ConflictError when it is damaged."""
+        """Return a calibration by its id; NotFoundError for an unknown id, ConflictError for a damaged one."""
         with self._database.reading() as connection:
             return with_interval(self._required(connection, calibration_id))
 

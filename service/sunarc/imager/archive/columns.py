@@ -54,7 +54,7 @@ _UNMEASURED = -1e9
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CandidateColumns:
-    """What of the accepted sightings of the sun decides which of them a fit uses, in no order.
+    """Columns of the accepted sightings of the sun by which a fit selects, in no order.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ def read_columns(
 
 
 def read_candidates(connection: Connection, camera: str, filters: list[ColumnElement[bool]]) -> CandidateColumns:
-    """Return what decides which of a camera's sightings of the sun that meet the conditions a fit uses, in no order.
+    """Return the columns by which a fit selects, of a camera's sightings of the sun under the conditions, unordered.
 
     Half of the time that `read_columns` takes: of millions of sightings a fit uses thousands.
     """
@@ -173,7 +173,7 @@ def _numbers(connection: Connection, filters: list[ColumnElement[bool]], *, plac
 
 
 def _sound(*, placed: bool = True) -> list[ColumnElement[bool]]:
-    """Return the conditions that a row has a time and a place: what a hand or a bad disk wrote there may be none."""
+    """Return the conditions that a row has a time and a place: a hand or a bad disk may have written other values."""
     c = sun_point.c
     return [stored_as(c.time, "integer"), *([is_number(c.x_px), is_number(c.y_px)] if placed else [])]
 
@@ -191,12 +191,12 @@ def _in_order_of_time(rows: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
 
 
 def _beginning(started_at: ColumnElement[Any]) -> ColumnElement[int]:
-    """Return the stored beginning of an epoch, µs; what a hand wrote there that is no number counts as 1970."""
+    """Return the stored beginning of an epoch, µs; a value that is not a number, written by hand, counts as 1970."""
     return case((stored_as(started_at, "integer"), type_coerce(started_at, BigInteger)), else_=0)
 
 
 def _number_or(column: ColumnElement[Any], otherwise: float) -> ColumnElement[Any]:
-    """Return a column's numbers; what a hand wrote there that is none counts as unknown."""
+    """Return a column's numbers; a value that is not a number, written by hand, counts as unknown."""
     return case((is_number(column), column), else_=otherwise)
 
 
@@ -258,7 +258,7 @@ def sightings_used_by(connection: Connection, calibration_id: str) -> SunPointCo
 
 
 def keep_used(connection: Connection, camera: str, calibration_id: str, columns: SunPointColumns) -> None:
-    """Write down which sightings a calibration rests on, and what they were where they were changed during its fit."""
+    """Store which sightings a calibration rests on, and their former values where they were changed during its fit."""
     starts = np.searchsorted(columns.epoch, np.arange(len(columns.epoch_ids)))  # epochs follow each other in time
     digest = _digest(columns)
     now = read_columns(connection, camera, [listed(connection, columns.ids)])
@@ -285,7 +285,7 @@ def keep_sigma(connection: Connection, camera: str) -> None:
 
 
 def keep_measured(connection: Connection, camera: str, changing: Sequence[ColumnElement[bool]]) -> None:
-    """Store with calibrations of a camera what was measured of their sightings, before some of these are changed."""
+    """Store with calibrations of a camera the measurements of their sightings, before some of these are changed."""
     ids = np.fromiter(connection.scalars(select(sun_point.c.id).where(*changing)), dtype=np.int64)
     if ids.size == 0:
         return
@@ -372,7 +372,7 @@ def _with_measured(columns: SunPointColumns, measured: FloatArray | None) -> Sun
 
 
 def _digest(columns: SunPointColumns) -> str:
-    """Return what changes when a sighting that counted is changed."""
+    """Return a digest that changes when a sighting that counted is changed."""
     digest = hashlib.sha256()
     for column in (columns.unix_s, columns.pixels, columns.sigma_px, columns.clock_error_s):
         digest.update(np.ascontiguousarray(column, dtype="<f8").tobytes())

@@ -23,7 +23,7 @@ LEAST_KEPT = timedelta(days=90)
 
 MOST_DAYS = 32
 MOST_ROWS = 200_000
-"""Of what is read at once: seconds of processor; of a day that has more its largest kinds are not compared."""
+"""Rows read at once: seconds of processor; of a day that has more its largest kinds are not compared."""
 _DAY_COLUMNS: Mapping[str, str] = {
     "pose_epoch": "started_at",
     "sun_point": "time",
@@ -35,7 +35,7 @@ _DAY_COLUMNS: Mapping[str, str] = {
     "night": "date",
     "housekeeping": "time",
 }
-"""The column that says of which day a row is; a camera's own row is of none."""
+"""The column that has the day of a row; a camera's own row has no day."""
 _DAY_US = 86_400_000_000
 _LATEST = date(2200, 1, 1)
 """A damaged time may be of no year."""
@@ -66,7 +66,7 @@ class DayDigests:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoredDays(Returned):
-    """What a hub has of a camera, for a comparison with what its imager has."""
+    """Rows of a camera at a hub, for a comparison with those of its imager."""
 
     revision: Annotated[str, described("Revision of the hub's tables; of rows of another one nothing is said.", "0020")]
     until: Annotated[date, described("The day after the last one of which something is said.", "2026-06-30")]
@@ -181,7 +181,7 @@ def _hashes(rows: Iterator[Sequence[Any]], plain: Sequence[Callable[[Any], Any]]
 
 
 class _Compared(NamedTuple):
-    """A column whose value counts, and what makes the same value of it on both engines."""
+    """A column whose value counts, and the expression that makes the same value of it on both engines."""
 
     selected: sa.ColumnElement[Any]
     plain: Callable[[Any], Any]

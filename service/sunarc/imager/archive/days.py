@@ -30,7 +30,7 @@ class DayStore(Part):
     """The solar days: their verdicts, and the air that was measured on them."""
 
     def set_air(self, air: DayAir) -> DayAir:
-        """Write a day's air in place of an earlier one, and return what is kept; with neither value, remove it.
+        """Write a day's air in place of an earlier one, and return the stored one; with neither value, remove it.
 
         The same values again change nothing, `set_at` included.
 
@@ -123,7 +123,7 @@ def air_of_days(connection: Connection, camera: str, unix_s: FloatArray) -> tupl
 
 
 def within_or_nan(values: FloatArray, bounds: tuple[float, float]) -> FloatArray:
-    """Return values (n,), NaN for those out of bounds: what was written by hand must not stop a fit."""
+    """Return values (n,), NaN for those out of bounds: a value written by hand must not stop a fit."""
     return np.where((values >= bounds[0]) & (values <= bounds[1]), values, np.nan)
 
 
@@ -239,7 +239,7 @@ class NightStore(Part):
         Parameters
         ----------
         night : judged.
-        event : what /v1/events says of it.
+        event : entry of /v1/events.
         drops_images : whether the stored images were those of this night, and are removed.
         """
         with self._database.writing() as connection:

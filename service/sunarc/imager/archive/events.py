@@ -50,7 +50,7 @@ class RefitStore(Part):
         """Write down that a refit is asked for, or return the one of its camera that has been asked for already.
 
         One that has not begun yet will see every sighting that this one would: there is never more than one of them,
-        beside the one that runs.
+        request while one runs.
         """
         c = tables.refit.c
         waiting = select(tables.refit).where(c.camera == refit.camera, c.state == "requested", c.finished_at.is_(None))
@@ -87,7 +87,7 @@ class RefitStore(Part):
         )
 
     def get(self, refit_id: str) -> Refit:
-        """Return a refit by its id; NotFoundError when there is none."""
+        """Return a refit by its id; NotFoundError for an unknown id."""
         found = self._database.values(select(tables.refit).where(tables.refit.c.id == refit_id), Refit)
         if not found:
             raise NotFoundError(field="id", problem=f"there is no refit {refit_id}", remedy="use an id that was given")
@@ -254,7 +254,7 @@ class HousekeepingStore(Part):
     """Disk space and temperatures."""
 
     def add(self, camera: str, measured: Iterable[Housekeeping]) -> None:
-        """Add measurements to what is stored of their hour and their UTC day, in one transaction.
+        """Add measurements to the stored ones of their hour and their UTC day, in one transaction.
 
         Parameters
         ----------

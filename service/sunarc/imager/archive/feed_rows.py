@@ -33,7 +33,7 @@ FED: Mapping[str, tuple[Table, tuple[str, ...]]] = {
     "night": (tables.night, ("camera", "date")),  # after the events: those of former imagers become nights, too
     "housekeeping": (tables.housekeeping, ("camera", "step", "time")),
 }
-"""The tables that are sent, each after those that it refers to, with what makes a row of it another one."""
+"""The tables that are sent, each after those that it refers to, with the columns that make a row of it another one."""
 
 SINCE = frozenset({("sun_point", "folder")})
 """Columns of keys that former imagers do not send: they are empty there."""
@@ -42,7 +42,7 @@ STATUS = "status"
 MOST_ROWS = 10_000
 """Of a body."""
 MOST_LEVELS = 32
-"""Of lists and objects in a row; what answers requests ends at some 250, a calibration document has 6."""
+"""Most levels of lists and objects in a row; the service's answers end at some 250, a calibration document has 6."""
 MOST_ROW_BYTES: Mapping[str, int] = {STATUS: 65_536, "calibration": 16_000_000}
 """Of a row as JSON."""
 _MOST_OTHER_BYTES = 1_000_000

@@ -26,7 +26,7 @@ _DAYS = "[0-9]*/[0-9]*/[0-9]*"
 _FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
 _MB = 1e6
 _LEAST_FREE_FILES = 16
-"""Inodes: a cycle's images, their folders, and what the database writes beside itself."""
+"""Inodes: a cycle's images, their folders, and the database's own files."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,7 +45,7 @@ class DiskOptions:
     reserve_mb: Annotated[float, Ge(0.0), Le(1e6)] = 32.0
 
     def __post_init__(self) -> None:
-        """Refuse what leaves the database no room."""
+        """Refuse options that leave the database no room."""
         require_bounds(self, section_path="disk")
         if self.keep_free_mb < 2.0 * self.reserve_mb:
             raise InputError(
@@ -205,7 +205,7 @@ class ImageStore:
         return sum(folder >= image.parent for folder in self.folder.glob(_DAYS))
 
     def usage(self) -> DiskUsage:
-        """Return what the images take; counted once, then kept up to date."""
+        """Return the size of the images; counted once, then kept up to date."""
         with self._lock, self._readable():
             if self._bytes is None:
                 self._bytes = sum(_size(path) for path in self.folder.rglob("*") if _OURS.fullmatch(path.name))
@@ -218,7 +218,7 @@ class ImageStore:
             )
 
     def clear_up(self) -> None:
-        """Remove what an interrupted write has left."""
+        """Remove the files of an interrupted write."""
         with self._readable():
             for part in self.folder.rglob("*.part"):
                 part.unlink(missing_ok=True)
@@ -281,7 +281,7 @@ class ImageStore:
 
 
 def write_atomically(target: Path, encoded: bytes) -> None:
-    """Write beside the target, to the disk itself, and rename: a power cut leaves all of it or nothing.
+    """Write in the folder of the target, to the disk itself, and rename: a power cut leaves all of it or nothing.
 
     Raises
     ------
@@ -294,7 +294,7 @@ def write_atomically(target: Path, encoded: bytes) -> None:
 
 @contextmanager
 def replacing(target: Path) -> Iterator[BinaryIO]:
-    """Return a file beside the target, in a folder that exists, which takes its place at the end as a whole.
+    """Return a file in the target's folder, which exists; it takes the target's place at the end as a whole.
 
     Raises
     ------

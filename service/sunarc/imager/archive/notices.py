@@ -1,4 +1,4 @@
-"""Notices: what receivers of messages are to hear of cameras, kept in the store until every receiver has it."""
+"""Notices: messages for receivers about cameras, kept in the store until every receiver has them."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class StoreChange(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Notice:
-    """What receivers are to hear.
+    """A message for receivers.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class Notice:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SinkState:
-    """How a receiver stands: what it was sent, and what it refused.
+    """State of a receiver: the messages that it was sent, and those that it refused.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class SinkState:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraState:
-    """How a camera is, as receivers of messages see it.
+    """State of a camera in messages to receivers.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class CameraState:
 
 
 def stored_changes(events: Iterable[Event], current: str, *, after_event: int, known: str) -> Iterator[StoreChange]:
-    """Yield what is new in the store, events in their order and then the calibration.
+    """Yield the changes of the store, events in their order and then the calibration.
 
     Parameters
     ----------
@@ -106,10 +106,10 @@ def stored_changes(events: Iterable[Event], current: str, *, after_event: int, k
 
 
 class NoticeStore(Part):
-    """What receivers of messages are to hear."""
+    """Store of the messages for receivers."""
 
     def name_sinks(self, names: Collection[str]) -> None:
-        """Serve these receivers and no others: a new one hears of what happens from now on; without any all is removed.
+        """Serve these receivers and no others: a new one gets the events from now on; without any all are removed.
 
         Parameters
         ----------
@@ -133,7 +133,7 @@ class NoticeStore(Part):
         now: datetime,
         clears: bool = True,
     ) -> Mapping[str, Mapping[str, Any]]:
-        """Store notices of what changed of a camera since the last call, with how far that was, in one transaction.
+        """Store notices of a camera's changes since the last call, with the position, in one transaction.
 
         The first call of a camera stores none: what was before is no news. Nor are events of before it that are
         stored later, as a hub's of the years before a camera joined it.
@@ -215,7 +215,7 @@ class _NoticePosition(NamedTuple):
 
 
 class _Look(NamedTuple):
-    """What is known of a camera when it is looked at; see `NoticeStore.record`."""
+    """State of a camera at a look at it; see `NoticeStore.record`."""
 
     camera: str
     conditions: Mapping[str, Mapping[str, Any]]

@@ -24,7 +24,7 @@ _TRIGGERS = "SELECT name, sql FROM sqlite_master WHERE type = 'trigger' AND name
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OutboxPosition:
-    """How far an imager's rows came.
+    """Position up to which an imager's rows were sent.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class OutboxPosition:
 
 
 class Outbox(Part):
-    """What an imager sends to a hub."""
+    """Rows that an imager sends to a hub."""
 
     def enable(self) -> bool:
         """Begin to write changes to the outbox; with all rows that there are, unless it went on without a break.
@@ -129,14 +129,14 @@ class Outbox(Part):
         return _parsed(stored)
 
     def queue_status(self, status: Mapping[str, Any]) -> None:
-        """Queue the imager's own state, in place of what was not sent yet."""
+        """Queue the imager's own state, in place of one that was not sent yet."""
         with self._database.writing() as connection:
             sent = sa.select(outbox_position.c.sent).scalar_subquery()
             connection.execute(sa.delete(outbox).where(outbox.c.kind == STATUS, outbox.c.seq > sent))
             connection.execute(sa.insert(outbox).values(kind=STATUS, data=json_text(status)))
 
     def acknowledge(self, seq: int) -> bool:
-        """Forget the rows up to a number, which the hub has; none where some come before it, and none has it.
+        """Forget the rows up to a number, which the hub has; nothing where the hub lacks some before it.
 
         Returns
         -------

@@ -20,7 +20,7 @@ ELSEWHERE = "elsewhere"
 _SAME_PX = 1.0
 """Distance of two suns of one image: it was annotated, or compressed anew."""
 _NO_PICTURES = ("in_stack", "frozen", "no_frame")
-"""Verdicts of rows that say nothing of what their picture shows."""
+"""Verdicts of rows without a statement about their picture."""
 
 
 class _Sun(NamedTuple):
@@ -37,7 +37,7 @@ class _Sun(NamedTuple):
 
 
 def judge_pictures(connection: Connection, camera: str, times: Collection[datetime]) -> dict[str, Finding]:
-    """Set aside what does not count of the pictures of one time in several folders.
+    """Set aside the sightings of one time in several folders that do not count.
 
     Where each picture shows the sun, and at the same pixel, the first one's sighting counts, else that of none.
 

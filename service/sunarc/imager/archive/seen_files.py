@@ -26,7 +26,7 @@ class SeenFile:
     stamp : its size and the time of its last change: another one is a file that was written over.
     content : hash of its bytes; None where it was not read.
     time : of its image, aware; None where nothing states it.
-    code : of the finding why it was left out; None where it was looked at.
+    code : of the finding why it was left out; None for a file that was read.
     """
 
     camera: str
@@ -75,7 +75,7 @@ class SeenFileStore(Part):
             return {row.file: row.code for row in rows}
 
     def add(self, files: Iterable[SeenFile]) -> None:
-        """Write files down, each in place of what was known of it."""
+        """Write files down, each in place of its former record."""
         with self._database.writing() as connection:
             for one in files:
                 upsert(connection, seen_file, fields_of(one), key=["camera", "file"])

@@ -69,7 +69,7 @@ _KEY = ("camera", "time", "body", "exposure_us", "method", "file", "folder")
 
 
 class FileSighting(NamedTuple):
-    """What the archive holds of an image file by one method; `file` is empty where it is not known (version 0.2)."""
+    """Archive's record of an image file by one method; `file` is empty where it is not known (version 0.2)."""
 
     time_us: int
     exposure_us: float
@@ -86,7 +86,7 @@ class FileSighting(NamedTuple):
 
     @property
     def key(self) -> ImageKey:
-        """What distinguishes the image from others."""
+        """Return the key that distinguishes the image from others."""
         return ImageKey(self.time_us, self.exposure_us, self.file, self.folder)
 
 
@@ -143,7 +143,7 @@ class CameraStore(Part):
         self._saved: dict[str, CameraRecord] = {}
 
     def save(self, record: CameraRecord) -> None:
-        """Write a camera down, in place of what was known of the same name."""
+        """Save a camera, in place of the stored one of the same name."""
         with self._database.writing() as connection:
             upsert(connection, tables.camera, fields_of(record), key=["name"])
         self._saved = {**self._saved, record.name: record}
@@ -292,7 +292,7 @@ class SightingStore(Part):
     """
 
     def of_files(self, camera: str, *, times_us: Container[int]) -> list[FileSighting]:
-        """Return what is stored of the sun at the given times, microseconds since 1970-01-01 UTC."""
+        """Return the stored sightings of the sun at the given times, microseconds since 1970-01-01 UTC."""
         c = sun_point.c
         names = [name for name in FileSighting._fields if name != "time_us"]
         rows = select(type_coerce(c.time, BigInteger), *(c[name] for name in names)).where(
@@ -338,7 +338,7 @@ class SightingStore(Part):
         return aside
 
     def replace_stars(self, camera: str, points: Iterable[SunPoint]) -> int:
-        """Store the stars of images that were looked at again, and return how many sightings are new.
+        """Store the stars of images that were read again, and return how many sightings are new.
 
         Former sightings of stars in these images that are not among them are set aside; those of other images stay.
         """
@@ -476,7 +476,7 @@ class SightingStore(Part):
     def candidates(
         self, camera: str, *, since: datetime | None = None, until: datetime | None = None
     ) -> CandidateColumns:
-        """Return what decides which of the accepted sightings of the sun a fit uses; see `of_ids`."""
+        """Return the columns by which a fit selects from the accepted sightings of the sun; see `of_ids`."""
         with self._database.reading() as connection:
             return read_candidates(connection, camera, _filters(camera, since=since, until=until, accepted=True))
 
@@ -524,7 +524,7 @@ class SightingStore(Part):
             return read_levels(connection, filters)
 
     def dates(self, camera: str, *, longitude: float, since: date | None = None) -> tuple[date, ...]:
-        """Return the solar dates (from `since` on) on which the sun was looked at, accepted or not."""
+        """Return the solar dates (from `since` on) with sightings of the sun, accepted or not."""
         values = {
             "camera": camera,
             "since": 0 if since is None else round(1e6 * day_bounds_unix_s(since, longitude=longitude)[0]),
@@ -550,7 +550,7 @@ class SightingStore(Part):
             return connection.scalar(select(func.count()).select_from(sun_point).where(*of_sun)) or 0
 
     def by_day(self, camera: str, *, longitude: float, since: date, until: date) -> tuple[SightingCounts, ...]:
-        """Return the counts of the looks at the sun on solar dates with `since` <= date < `until`, the newest first."""
+        """Return the counts of sightings of the sun on solar dates with `since` <= date < `until`, the newest first."""
         c, ahead = sun_point.c, round(1e6 * longitude * SECONDS_PER_DEGREE)
         begin, end = (round(1e6 * day_bounds_unix_s(one, longitude=longitude)[0]) for one in (since, until))
         time = type_coerce(c.time, BigInteger)
@@ -627,7 +627,7 @@ def _clock_within(largest_s: float | None) -> list[ColumnElement[bool]]:
 
 
 _SHARED = {field.name for field in fields(SunPoint)} & {field.name for field in fields(Detection)} - {"exposure_us"}
-"""What both have under the same name; the exposure of a detection may be unknown."""
+"""Columns that both have under the same name; the exposure of a detection may be unknown."""
 
 
 def sun_point_of(

@@ -267,7 +267,7 @@ class NightSeries(Returned):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Night(Returned):
-    """Verdict of a night; what is null is not known: no image of it was matched."""
+    """Verdict of a night; null is not known: no image of it was matched."""
 
     camera: Annotated[str, Field(exclude=True)]
     date: Annotated[SolarDate, Field(serialization_alias="night", description="Local mean solar date of the evening.")]
@@ -348,7 +348,7 @@ class SightingCounts(Returned):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrationRecord:
-    """A calibration: its document (schema sunarc.calibration/2), with what the archive asks about as fields.
+    """A calibration: its document (schema sunarc.calibration/2), with the columns of the archive's queries as fields.
 
     It answers for `valid_from` <= t < `valid_until` (None: until further notice) when its state is current or
     retired; intervals of one camera never overlap. `parent` is the calibration it was compared with or copied from.
@@ -450,7 +450,7 @@ class Event(Returned):
     )
     @property
     def findings(self) -> FindingsJson:
-        """What happened, as a code and data."""
+        """Findings of the event, each a code and data."""
         # numbers and names only: a boolean is none, though Python counts it among the integers
         plain = {key: value for key, value in self.details.items() if type(value) in {str, int, float}}
         return [Finding(code_of_event(self.kind, self.details), plain).as_json()]
@@ -490,7 +490,7 @@ _Number = TypeVar("_Number", int, float)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Housekeeping(Returned):
-    """What was measured in an hour or in a UTC day."""
+    """Measurements of an hour or of a UTC day."""
 
     time: Annotated[Time, described("Beginning of the hour or of the UTC day.", "2013-05-13T18:00:00Z")]
     disk_free_bytes: Annotated[
@@ -508,7 +508,7 @@ class Housekeeping(Returned):
 
 
 def merged(one: Housekeeping, other: Housekeeping, *, time: datetime) -> Housekeeping:
-    """Return what was measured in both of two spans.
+    """Return the joined measurements of two spans.
 
     Parameters
     ----------

@@ -39,7 +39,7 @@ _RAW, _RAW_UNIT = "ExposureTimeRaw", "ExposureTimeBaseAbs"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExposureControl:
-    """How exposures are set.
+    """Control of the exposures.
 
     Attributes
     ----------
@@ -241,7 +241,7 @@ class AravisCamera:
 
     @property
     def info(self) -> CameraInfo:
-        """What is known of the camera."""
+        """Record of the camera."""
         if self._info is None:
             raise errors.CameraLostError(f"the camera at {self._options.address} is not open")
         return self._info
@@ -387,7 +387,7 @@ class AravisCamera:
             self._stream.push_buffer(aravis.Buffer.new_allocate(payload))
 
     def _tell_link(self, payload: int) -> None:
-        """Say in the log how the stream is received, and what will lose packets."""
+        """Log how the stream is received, and the causes of lost packets."""
         self.link = features.link_to(
             self._options.address,
             packet_bytes=int(self._camera.gv_get_packet_size()),
@@ -543,7 +543,7 @@ def abilities_of(
     pins: tuple[features.Pin, ...],
     notes_exposures: bool,
 ) -> Iterator[tuple[str, str]]:
-    """Yield what there is, and what of it is used."""
+    """Yield the abilities of the camera, and which of them are used."""
     width, height = camera.get_sensor_size()
     binning = "bins" if features.has(camera, "BinningHorizontal") else "does not bin"
     yield "sensor", f"{width}x{height} px, {binning}"

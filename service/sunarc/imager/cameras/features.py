@@ -88,7 +88,7 @@ class Pin:
 
 
 def pin_settings(camera: Any, options: AravisOptions) -> tuple[Pin, ...]:  # noqa: ANN401 - a GObject has no types
-    """Switch everything automatic off, set format, region and gain (before a stream is made); return what was set.
+    """Switch everything automatic off, set format, region and gain (before a stream is made); return the settings.
 
     A feature that already has its value is not written. An optional one that refuses is kept as it is; its value is
     returned like the others, so that a later change of it is noticed.
@@ -109,7 +109,7 @@ def pin_settings(camera: Any, options: AravisOptions) -> tuple[Pin, ...]:  # noq
 
 
 def changed_pins(camera: Any, pins: tuple[Pin, ...]) -> Iterator[str]:  # noqa: ANN401 - a GObject has no types
-    """Yield what of a camera is not as it was set, one sentence each."""
+    """Yield the features of a camera that changed since they were set, one sentence each."""
     for pin in pins:
         value = read(camera, pin.name, pin.kind)
         close = isinstance(value, float) and abs(value - float(pin.value)) <= 1e-3 * max(1.0, abs(value))
@@ -143,13 +143,13 @@ def read(camera: Any, name: str, kind: Kind) -> Value:  # noqa: ANN401 - a GObje
 
 
 def write(camera: Any, name: str, kind: Kind, value: Value) -> Pin:  # noqa: ANN401 - a GObject has no types
-    """Set a feature and return what the camera made of it."""
+    """Write a feature and return the camera's value of it."""
     getattr(camera, f"set_{kind}")(name, value)
     return _hold(camera, name, kind)
 
 
 def write_if_other(camera: Any, name: str, kind: Kind, value: Value) -> Pin:  # noqa: ANN401 - as above
-    """Set a feature that has another value, and return what the camera made of it.
+    """Write a feature that has another value, and return the camera's value of it.
 
     Many features are locked while others have a certain value: one that need not be written is not.
     """
@@ -345,7 +345,7 @@ _SELF = Path("/proc/self/status")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Link:
-    """How a stream is received.
+    """Reception of a stream.
 
     Attributes
     ----------
@@ -364,7 +364,7 @@ class Link:
 
     @property
     def text(self) -> str:
-        """What was chosen and why, for one line of the log."""
+        """The chosen settings and their reason, for one line of the log."""
         way = (
             "a packet socket (CAP_NET_RAW)"
             if self.packet_socket
@@ -375,7 +375,7 @@ class Link:
 
     @property
     def complaints(self) -> tuple[str, ...]:
-        """What will lose packets, each with its remedy."""
+        """Causes of lost packets, each with its remedy."""
         complaints = []
         if self.mtu is not None and self.packet_bytes > self.mtu:
             complaints.append(

@@ -47,7 +47,7 @@ class Frame:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraInfo:
-    """What is known of a camera once it is open.
+    """Record of an open camera.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class CameraInfo:
 
     @property
     def exposure_bounds(self) -> ExposureBounds:
-        """Bounds and step of what may be asked for."""
+        """Bounds and step of the exposure."""
         return ExposureBounds(
             minimum_us=self.exposure_min_us, maximum_us=self.exposure_max_us, step_us=self.exposure_step_us
         )
@@ -112,7 +112,7 @@ class SkyCamera(Protocol):
 
     @property
     def info(self) -> CameraInfo:
-        """What is known of the camera."""
+        """Record of the camera."""
 
     def expose(self, exposure_us: float) -> Frame:
         """Expose once, within the camera's bounds, and return the frame.

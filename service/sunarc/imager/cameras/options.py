@@ -22,7 +22,7 @@ Pixels = Annotated[int, Ge(0), Le(100_000)]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AravisOptions:
-    """How a camera is reached and set up.
+    """Address and settings of a camera.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class AravisOptions:
     answer_timeout_s: Annotated[float, Ge(0.05), Le(60.0)] = 1.0
 
     def __post_init__(self) -> None:
-        """Refuse what no camera could be opened with."""
+        """Refuse options by which no camera could be opened."""
         require_bounds(self, section_path="camera")
         if self.transport == "gige":
             _require_address(self.address)
@@ -86,7 +86,7 @@ class ReplayOptions:
     exposure_us: Annotated[float, Ge(0.01), Le(1e9)] | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be played."""
+        """Refuse a folder that cannot be played."""
         require_bounds(self, section_path="replay")
         if self.pixel_format is not None:
             full_scale_of(self.pixel_format, field="replay.pixel_format")
@@ -130,7 +130,7 @@ class FolderOptions:
     settle_s: Annotated[float, Ge(0.0), Le(600.0)] = 2.0
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be followed."""
+        """Refuse a folder that cannot be followed."""
         require_bounds(self, section_path="folder")
         if self.time_pattern is not None:
             checked_pattern(self.time_pattern, field="folder.time_pattern")
@@ -147,7 +147,7 @@ class SnapshotOptions:
     ----------
     url : of the picture, as "https://camera.example/snapshot.jpg"; without user and password.
     token_file : a file whose one line is USER:PASSWORD (Basic or Digest, as the camera asks).
-    ca_file : certificate that the camera's is verified by, beside those of the system; read anew where it changes.
+    ca_file : certificate that verifies the camera's, in addition to those of the system; read anew where it changes.
     clock_error_s : bound of how far a picture's time is from the request, beyond the time that the answer takes.
     timeout_s : of a request as a whole, s.
     keep_images : keep the pictures as they came, in `state`/images; see [disk].
@@ -161,7 +161,7 @@ class SnapshotOptions:
     keep_images: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse an address that is none."""
+        """Refuse an invalid address."""
         require_bounds(self, section_path="http")
         _require_url("http.url", self.url, ("http", "https"))
 
@@ -185,7 +185,7 @@ class RtspOptions:
     timeout_s: Annotated[float, Gt(0.0), Le(30.0)] = 15.0
 
     def __post_init__(self) -> None:
-        """Refuse an address that is none."""
+        """Refuse an invalid address."""
         require_bounds(self, section_path="rtsp")
         _require_url("rtsp.url", self.url, ("rtsp",))
 

@@ -54,7 +54,7 @@ def unpack(data: bytes, packing: str, count: int) -> Words:
 
 
 def pack(image: Words, packing: str) -> bytes:
-    """Return counts as the bytes of a packed format: what `unpack` reads."""
+    """Return counts as the bytes of a packed format: the inverse of `unpack`."""
     per_group, group_bytes, _, encode = _LAYOUTS[packing]
     groups = -(-image.size // per_group)
     pixels = np.zeros(groups * per_group, dtype=np.uint16)
@@ -117,4 +117,4 @@ _LAYOUTS = {
     "10Packed": (2, 3, _decode_10packed, _encode_10packed),
     "10p": (4, 5, _decode_10p, _encode_10p),
 }
-"""Pixels and bytes of a group, and what decodes and encodes an array of groups."""
+"""Pixels and bytes of a group, and its decoder and encoder of an array of groups."""

@@ -59,7 +59,7 @@ class ReplayCamera:
 
     @property
     def info(self) -> CameraInfo:
-        """What is known of the images; the first one decides."""
+        """Record of the images; the first one decides."""
         return self._info
 
     def expose(self, exposure_us: float) -> Frame:  # noqa: ARG002 - what was exposed was exposed
@@ -71,7 +71,7 @@ class ReplayCamera:
         return frame
 
     def distrust(self) -> None:
-        """Change nothing: a file stays what it is."""
+        """Change nothing: a file does not change."""
 
     def check(self) -> CameraCondition:
         """Return nothing: a folder has no settings."""
@@ -156,7 +156,7 @@ def open_replay(options: ReplayOptions) -> ReplayCamera:
 
 
 def time_of_name(name: str) -> datetime | None:
-    """Return the UTC time in a file's name (``YYYYmmddTHHMMSS[.ffffff]Z``), None where there is none."""
+    """Return the UTC time in a file's name (``YYYYmmddTHHMMSS[.ffffff]Z``), None without one."""
     match = _TIME.search(name)
     if match is None:
         return None

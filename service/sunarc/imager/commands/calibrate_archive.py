@@ -95,7 +95,7 @@ def _require_level(archive: Archive, settings: Settings) -> None:
 
 
 def _worker(archive: Archive, settings: Settings, clock: Clock) -> RefitWorker:
-    """Return what fits the archive's sightings by the settings."""
+    """Return the worker that fits the archive's sightings by the settings."""
     started_at = clock.now()
     return RefitWorker(
         CameraArchive(archive, name=settings.name, site=settings.site),
@@ -128,7 +128,7 @@ _ROUNDING_PX = 1e-6
 
 
 def solve_again(settings: Settings, calibration_id: str) -> dict[str, Any]:
-    """Return what solving a past calibration again led to: whether it is the same, and its document.
+    """Solve a past calibration again, and return whether the result is the same, and its document.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What `sunarc init` tries: pictures at hand, and whether the sun in them is up at the site that was given."""
+"""Trials of `sunarc init`: pictures at hand, and whether the sun in them is up at the given site."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from sunarc.sources.source_files import ImageSource
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TriedPicture:
-    """What a picture of the source shows.
+    """Result of a picture of the source.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class TriedPicture:
         return self.found is not None and self.found.accepted
 
     def describe(self) -> str:
-        """Return what was found in a sentence."""
+        """Return the result in a sentence."""
         size = "" if self.size is None else f"{self.size[0]}x{self.size[1]} px; "
         when = "" if self.time is None else f"taken {self.time:%Y-%m-%d %H:%M:%S} UTC by {self.rule}; "
         sun = ""
@@ -75,7 +75,7 @@ def try_pictures(
     most: int,
     on_image: Callable[[TriedPicture, Image], None],
 ) -> Iterator[TriedPicture]:
-    """Yield what pictures of a source show: the last one, then others from everywhere in the list.
+    """Yield the results of pictures of a source: the last one, then others from everywhere in the list.
 
     Where names state times, pictures whose name states none (a copy of the newest one) are left out.
 
@@ -83,7 +83,7 @@ def try_pictures(
     ----------
     source, names : the files, in the order of their names.
     rules : how their times are read.
-    most : number of pictures that are looked at.
+    most : number of pictures that are read.
     on_image : called with the first picture that can be read, and its image.
     """
     every_picture = [name for name in names if kind_of(name) is not None and not is_derived(name)]
@@ -115,7 +115,7 @@ def _tried(
 
 
 def look_for_sun(tried: TriedPicture, image: Image) -> TriedPicture:
-    """Return what a picture shows with its size, and the sun in it."""
+    """Return the result of a picture with its size, and the sun in it."""
     return replace(tried, size=(image.shape[1], image.shape[0]), found=detect_in_image(image))
 
 

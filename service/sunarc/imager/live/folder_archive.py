@@ -118,12 +118,12 @@ class FolderArchiveWorker:
 
     @property
     def is_busy(self) -> bool:
-        """Whether an analysis is going on or due."""
+        """Return whether an analysis is going on or due."""
         return self._working or (not self._rests and (bool(self._older) or self._is_due()))
 
     @property
     def holds_all_days(self) -> bool:
-        """Whether an analysis is going on or due that any day waits for."""
+        """Return whether an analysis is going on or due that any day waits for."""
         return self.is_busy and not self._older
 
     def waiting_days(self, others: Container[date]) -> Container[date]:
@@ -133,7 +133,7 @@ class FolderArchiveWorker:
 
     @property
     def _rests(self) -> bool:
-        """Whether an analysis failed a while ago: meanwhile days are judged by what is stored."""
+        """Return whether an analysis failed a while ago: meanwhile days are judged by the stored sightings."""
         return self.clock.monotonic() < self._rests_until_s
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
@@ -213,7 +213,7 @@ class FolderArchiveWorker:
         return sum(self.camera.archive.sightings.count(self.camera.name, since=EPOCH, until=until).values())
 
     def _succeeded(self, files: Sequence[SourceFile]) -> None:
-        """Write the files down as seen: a run that is broken off begins again with what it had not stored."""
+        """Write the files down as seen: a run that is broken off begins again with those that it had not stored."""
         seen = (SeenFile(camera=self.camera.name, file=one.name, stamp=one.stamp) for one in files)
         self.camera.archive.seen_files.add(seen)
         with self._lock:

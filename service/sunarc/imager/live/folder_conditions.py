@@ -1,4 +1,4 @@
-"""How a followed folder's images are dated and judged: left out, ahead of the clock, or late after their times."""
+"""Dating and verdicts of a followed folder's images: left out, ahead of the clock, or late after their times."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from sunarc.sources.image_times import TimeRules, utc_offset_of
 
 
 def time_rules(options: FolderOptions) -> TimeRules:
-    """Return how the times of a folder's images are read; InputError where the zone is none."""
+    """Return the rules of times of a folder's images; InputError for an unknown zone."""
     offset = None if options.utc_offset is None else utc_offset_of(options.utc_offset, field="folder.utc_offset")
     return TimeRules(pattern=options.time_pattern, offset=offset, documents=True)
 
@@ -26,7 +26,7 @@ DATED_AGAIN = (
     *("file_time_zone", "file_zone_contradicts", "file_time_pattern", "file_time_unknown", "file_time_ambiguous"),
     FUTURE,
 )
-"""Verdicts that a restart looks at again: settings or the host's clock may have been corrected."""
+"""Verdicts that a restart revises: settings or the host's clock may have been corrected."""
 _LEFT_OUT_CODES = {
     "file_time_zone": "images_without_zone",
     "file_time_twice": "images_left_out",

@@ -26,7 +26,7 @@ _WITHOUT_EVENTS = frozenset(
 )
 """File systems of which another machine's changes are not reported."""
 _NEWEST_FOLDERS = 3
-"""Whose files are looked at again though no name in them is new: one may have been written over."""
+"""Folders whose files are read again though no name in them is new: one may have been written over."""
 _COARSE_NS = 2_000_000_000
 """Of the time of a folder's last change: FAT and some servers have 2 s."""
 _EVENTS_MS = 500
@@ -39,14 +39,14 @@ def is_image(name: str, pattern: str) -> bool:
 
 
 class _Folder(NamedTuple):
-    """What is known of a subfolder: the time of its last change when it was listed, and its own subfolders."""
+    """State of a subfolder: the time of its last change when it was listed, and its own subfolders."""
 
     changed_ns: int
     subfolders: tuple[str, ...]
 
 
 class DeniedFolder(NamedTuple):
-    """A subfolder that may not be read, when it last changed, and what the system says."""
+    """A subfolder that may not be read, when it last changed, and the system's message."""
 
     name: str
     changed_ns: int
@@ -54,7 +54,7 @@ class DeniedFolder(NamedTuple):
 
 
 class FolderListing:
-    """Lists a folder, and later only what changed: subfolders with other names in them, and the newest ones.
+    """Lists a folder, and later only its changes: subfolders with other names in them, and the newest ones.
 
     `denied` is what the last listing could not read.
 
@@ -219,7 +219,7 @@ def reports_changes(root: Path) -> bool:
 
 
 class FolderWatch:
-    """Waits until something changes in a folder: by events, or so many seconds where there are none.
+    """Waits until something changes in a folder: by events, or so many seconds without them.
 
     Parameters
     ----------
@@ -237,7 +237,7 @@ class FolderWatch:
 
     @property
     def list_every_s(self) -> float:
-        """Seconds between two listings: with events these find what no event reported."""
+        """Seconds between two listings: with events these find the changes that no event reported."""
         return self._poll_s if self._polling else _LIST_S
 
     def close(self) -> None:

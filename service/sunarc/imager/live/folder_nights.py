@@ -22,20 +22,20 @@ from sunarc.sources.index import CameraImages, Failure, ReportProgress, at_night
 from sunarc.sources.sources import open_source
 
 _KNOWN_SHARE = 0.9
-"""Of a night's files, less one, that were looked at: the others are damaged, and are not read again at each run."""
+"""Share of a night's files, less one, that are known: the others are damaged, and are not read again at each run."""
 _CLOCK_S = 1.0
 """Bound of the error of a file's time: names and EXIF have whole seconds."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NightOutcome:
-    """What a night's images came to.
+    """Outcome of a night's images.
 
     Attributes
     ----------
     date : of its evening.
     verdict : clear, partly, cloudy, moonlit or unusable.
-    images, accepted : those looked at, and those whose stars are named.
+    images, accepted : those that were read, and those whose stars are named.
     stored : sightings of stars that are new in the archive.
     """
 
@@ -57,7 +57,7 @@ class FolderNights:
     Attributes
     ----------
     looked_at : those of this run.
-    known : images of nights that were looked at before.
+    known : images of nights that are known.
     failures : images that could not be used, with the reason.
     findings : why none could, and that they are stored otherwise than those of the calibration.
     """
@@ -85,7 +85,7 @@ def ingest_nights(
     ----------
     archive, settings : of the camera.
     images : of the folder.
-    reprocess : look at known nights again; the stars of an image take the place of those named in it before. An image
+    reprocess : read known nights again; the stars of an image take the place of those named in it before. An image
         whose stars are not named again keeps them.
     progress : called after each image.
     """

@@ -1,4 +1,4 @@
-"""The source of images that is a folder which another program fills: each is dated, looked at and stored, once."""
+"""The source of images that is a folder which another program fills: each is dated, read and stored, once."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ _SHOWN = frozenset({".jpg", ".jpeg", ".png"})
 
 @dataclass(eq=False)
 class FolderWorker:
-    """Follows a folder: what comes is looked at once, whatever happens meanwhile.
+    """Follows a folder: each new image is read once, whatever happens meanwhile.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ class FolderWorker:
             watch.close()
 
     def list_new(self) -> bool:
-        """List what may be new in the folder; return whether it could be read."""
+        """List the new files of the folder; return whether it could be read."""
         now_s = self.clock.monotonic()
         try:
             if not self._remembers:
@@ -236,12 +236,12 @@ class FolderWorker:
 
     @property
     def n_waiting(self) -> int:
-        """How many files came and are not stored: not complete, not looked at, in hand, or tried again."""
+        """Return how many files came and are not stored: not complete, not read, in hand, or tried again."""
         return len(self._settling) + len(self._ready) + len(self._late) + self._n_in_hand + len(self._again)
 
     @property
     def newest_picture(self) -> Path | None:
-        """The newest image that a browser shows; None where it is none, or gone."""
+        """The newest image that a browser shows; None without one, or if it is gone."""
         if self._newest is None or PurePosixPath(self._newest[0]).suffix.lower() not in _SHOWN:
             return None
         path = self._root / name_path(self._newest[0])
@@ -277,7 +277,7 @@ class FolderWorker:
         return seen != file.stamp and name not in self._ready and name not in self._late and name not in self._again
 
     def _first_listing(self, listed: Sequence[source_files.SourceFile], new: Sequence[source_files.SourceFile]) -> None:
-        """Divide what is there at the start: the newest are live, few are late, many are an archive."""
+        """Divide the files at the start: the newest are live, few are late, many are an archive."""
         now = self.clock.now().timestamp()
         recent = [file for file in new if now - folder_files.changed_s(file) < _LIVE.total_seconds()]
         for file in recent:
@@ -300,7 +300,7 @@ class FolderWorker:
         self._late.update((file.name, file) for file in files)
 
     def _prune(self, present: set[str]) -> None:
-        """Forget what is gone from a folder that has files: it would grow for ever."""
+        """Forget the files that are gone from a folder that has files: the record would grow for ever."""
         gone = [name for name in self._stamps if name not in present]
         if not present or not gone:
             return
@@ -455,7 +455,7 @@ class FolderWorker:
             self.judge_again(day)
 
     def _members(self, seen: Sequence[SeenFile], *, without: Container[str]) -> Iterator[_Dated]:
-        """Yield the other exposures of a time, which were looked at before."""
+        """Yield the other exposures of a time, which were read before."""
         for one in seen:
             if one.code is None and one.file not in without:
                 with suppress(OSError):  # it is gone
@@ -480,7 +480,7 @@ class FolderWorker:
             self._seen(one)
 
     def _of_this_camera(self, new: Sequence[_Dated]) -> list[_Dated]:
-        """Return the images whose names begin as those before; others only once there are none of these any more."""
+        """Return the images whose names begin as those before; others only once these are all gone."""
         kept = []
         for one in new:
             self._note_prefix(one.frame.prefix)
@@ -535,7 +535,7 @@ class FolderWorker:
         self._write(one.file, one, None)
 
     def _write(self, file: source_files.SourceFile, dated: _Dated | None, code: str | None) -> None:
-        """Write a file down as seen; after its sightings, so that a process that dies between looks at it again."""
+        """Write a file down as seen; after its sightings, so that a process that dies between reads it again."""
         seen = SeenFile(
             camera=self.camera.name,
             file=file.name,

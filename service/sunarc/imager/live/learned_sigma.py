@@ -32,7 +32,7 @@ _LEAST_SIGHTINGS = 20
 _LARGEST_FACTOR = 5.0
 """A factor beyond is no detector's error: the calibration or the detector is wrong."""
 _AS_STATED = 1.15
-"""By so much scatter and stated sigma may differ before the stated sigma is changed: about 2 sigma of what 50 sightings
+"""By so much scatter and stated sigma may differ before the stated sigma is changed: about 2 sigma of 50 sightings
 tell of it."""
 _EVENT = "sigma_learned"
 
@@ -46,7 +46,7 @@ class ValidCamera(NamedTuple):
 
 
 def factor_in_force(archive: Archive, camera: str, method: str) -> float:
-    """Return by what a method's stated sigma is multiplied where a sighting of an image file is stored."""
+    """Return the factor of a method's stated sigma with which a sighting of an image file is stored."""
     events = archive.events.find(camera, kind=_EVENT)
     return next((float(one.details["factor"]) for one in events if one.details["method"] == method), 1.0)
 
@@ -78,7 +78,7 @@ def learn_sigma(archive: Archive, settings: Settings, cameras: Sequence[ValidCam
 
 
 def sigma_factor(residual: FloatArray, sigma_px: FloatArray, *, in_force: float = 1.0) -> float | None:
-    """Return by what a stated sigma has to be multiplied to be the scatter of the inliers; None where it is right.
+    """Return the factor that makes a stated sigma the scatter of the inliers; None where it is right.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ _TAILS = 6.0
 
 
 def sigma_of_series(residual: FloatArray, sigma_px: FloatArray, sky: Sequence[str]) -> FloatArray:
-    """Return (n,): 1-sigma per axis of the sightings of a series, by what those of their kind of sky scatter.
+    """Return (n,): 1-sigma per axis of the sightings of a series, by the scatter of those of their kind of sky.
 
     It is what is stated times the root mean square of the residuals of all sightings with one verdict and about the
     same stated sigma (an octave), tails included; of kinds with few sightings, of all of them. It is never made

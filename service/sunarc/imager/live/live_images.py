@@ -108,7 +108,7 @@ class Repetitions:
 
 @dataclass(eq=False)
 class LiveImages:
-    """Looks for the sun in the images of one time, and stores what is found.
+    """Looks for the sun in the images of one time, and stores the sightings.
 
     With a calibration the sun is looked for where it should be, and where it is not there, in the whole image: a sun
     elsewhere tells that the camera was moved. Without one the whole image is searched.
@@ -121,7 +121,7 @@ class LiveImages:
     clock_error_s : bound of the error of an image's time, s.
     notice : called with the time and place of each sun that was found, for the detection of changes.
     board : where repetitions are reported.
-    looked_at_again : whether the images from before the first calibration are looked at again elsewhere; otherwise
+    looked_at_again : whether the images from before the first calibration are read again elsewhere; otherwise
         their sightings are held to it here.
     """
 
@@ -224,7 +224,7 @@ class LiveImages:
     def _look(
         self, address: str, images: Sequence[LiveImage], expected: Expectation | None, *, outside: bool
     ) -> list[Answer]:
-        """Return the answer for each image; of the ordinary ones within what the prediction allows."""
+        """Return the answer for each image; of the ordinary ones within the prediction's bounds."""
         items = tuple(Item(one.file, 0, one.exposure_us, expected, outside) for one in images)
         size = self.size or (0, 0)
         chunk = Chunk(self.camera.name, address, self.method, size, items, stack=len(items) > 1)

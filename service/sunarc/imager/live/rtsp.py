@@ -27,7 +27,7 @@ _PORT = 554
 _MOST_HEAD_BYTES = 65_536
 _SETTLE_S = 0.5
 _IDLE_SHARE = 0.5
-"""Of the time since a stream is open: what came while it was opened is decoded without waiting."""
+"""Share of the time since a stream is open: frames that came while it was opened are decoded without waiting."""
 
 
 @dataclass(eq=False)
@@ -41,7 +41,7 @@ class RtspClient:
 
     Raises
     ------
-    ConfigurationError : the file of user and password cannot be read, or is none.
+    ConfigurationError : the file of user and password cannot be read, or is invalid.
     """
 
     options: RtspOptions
@@ -54,7 +54,7 @@ class RtspClient:
         self.host = self._url.hostname or ""
 
     def picture(self, heartbeat: Callable[[], None] = lambda: None) -> Snapshot | Finding:
-        """Return the next key frame, or the finding why there is none.
+        """Return the next key frame, or the finding why it is missing.
 
         The camera is asked for the stream's description first: the decoder does not say why it opens nothing, and
         would follow the camera to another host with the password.
@@ -87,7 +87,7 @@ class RtspClient:
         return status
 
     def _ask(self, limit: http_exchange.Limit, header: str) -> tuple[int, list[str]]:
-        """Send DESCRIBE on a connection of its own; return the status, and what the camera asks for."""
+        """Send DESCRIBE on a connection of its own; return the status, and the camera's challenge."""
         text = f"DESCRIBE {self._url.geturl()} RTSP/1.0\r\nCSeq: 1\r\nAccept: application/sdp\r\n{header}\r\n"
         address = (self.host, self._url.port or _PORT)
         with closing(socket.create_connection(address, timeout=limit.left_s())) as channel:
@@ -157,7 +157,7 @@ def _decoder_answers(lines: Sequence[str]) -> bool:
 
 
 def client_of(options: SnapshotOptions | RtspOptions, clock: Clock, *, dated_by_camera: bool = False) -> PictureClient:
-    """Return what gets pictures from the camera of a section of the settings; see `SnapshotClient`."""
+    """Return the client of the camera of a section of the settings; see `SnapshotClient`."""
     if isinstance(options, RtspOptions):
         return RtspClient(options, clock)
     return SnapshotClient(options, clock, dated_by_camera=dated_by_camera)

@@ -63,7 +63,7 @@ class Snapshot(NamedTuple):
 
 
 class SnapshotClient:
-    """Asks a camera for its picture, and refuses what is none.
+    """Asks a camera for its picture, and refuses other answers.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ class SnapshotClient:
 
     Raises
     ------
-    ConfigurationError : a file of the options cannot be read, or is none.
+    ConfigurationError : a file of the options cannot be read, or is invalid.
     """
 
     def __init__(self, options: SnapshotOptions, clock: Clock, *, dated_by_camera: bool = False) -> None:
@@ -84,7 +84,7 @@ class SnapshotClient:
         self.host = self._url.hostname or ""
 
     def picture(self, heartbeat: Callable[[], None] = lambda: None) -> Snapshot | Finding:
-        """Return the picture of now, or the finding why there is none."""
+        """Return the present picture, or the finding why it is missing."""
         requested, began_s = self._clock.now(), self._clock.monotonic()
         limit = http_exchange.Limit(self._options.timeout_s, monotonic=self._clock.monotonic, heartbeat=heartbeat)
         try:
@@ -99,7 +99,7 @@ class SnapshotClient:
         return self._checked(answer, requested + timedelta(seconds=half_s), half_s)
 
     def _answer(self, limit: http_exchange.Limit) -> http_exchange.HttpAnswer | Finding:
-        """Return the answer with the picture: after what the camera asks for, and redirects on the same host."""
+        """Return the answer with the picture: after the camera's challenge, and redirects on the same host."""
         url, login = self._url, dict[str, str]()
         asked = False
         for _ in range(_MOST_REDIRECTS + 2):
@@ -165,7 +165,7 @@ def png_of(image: cv2.typing.MatLike) -> bytes:
 
 
 def _redirected(url: urllib.parse.SplitResult, location: str) -> urllib.parse.SplitResult | str:
-    """Return the address on the same host that an answer refers to, or as text what is another host or no address."""
+    """Return the address on the same host that an answer refers to, or as text another host or an invalid address."""
     written = urllib.parse.quote(location, safe=string.punctuation, encoding="latin-1")
     try:
         target = urllib.parse.urlsplit(urllib.parse.urljoin(url.geturl(), written))
@@ -184,7 +184,7 @@ def _trust(options: SnapshotOptions) -> http_exchange.Trust:
 
 
 def _age_s(headers: Mapping[str, str], content: bytes, now: datetime) -> float:
-    """Return how old a picture is by what is stated of it, the oldest: a cache's Age, Last-Modified, or EXIF.
+    """Return the age of a picture by its statements, the oldest: a cache's Age, Last-Modified, or EXIF.
 
     Last-Modified is compared with Date, which is of the same clock; EXIF counts where it has a zone.
     """
@@ -224,7 +224,7 @@ class PictureClient(Protocol):
     host: str
 
     def picture(self, heartbeat: Callable[[], None] = ...) -> Snapshot | Finding:
-        """Return the picture, or the finding why there is none."""
+        """Return the picture, or the finding why it is missing."""
         ...
 
 
@@ -281,7 +281,7 @@ class SnapshotWorker:
                 self.take(heartbeat)
 
     def take(self, heartbeat: Callable[[], None] = lambda: None) -> None:
-        """Take a picture, look at it and store what is found."""
+        """Take a picture, look for the sun in it and store the sighting."""
         found = self.client.picture(heartbeat)
         if isinstance(found, Finding):
             self._show(found)

@@ -1,1 +1,1 @@
-"""Supervisor, status registry, clock, systemd, scheduled jobs: what keeps the service running."""
+"""Supervisor, status registry, clock, systemd, scheduled jobs: the parts that keep the service running."""

@@ -1,4 +1,4 @@
-"""How computing processes share the host: threads, memory, priority, and the child of a long computation.
+"""Computing processes on the shared host: threads, memory, priority, and the child of a long computation.
 
 A module of its own that imports nothing: the child imports the packages of what it is to do, and no others.
 """
@@ -21,7 +21,7 @@ _OOM_SCORE = "500"
 
 
 def answer_call(connection: Connection[object, Callable[[], object]]) -> None:
-    """Read a call from a connection, and send what it returns; or its error as text.
+    """Read a call from a connection, and send its result; or its error as text.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ _KEPT_BYTES, _LARGEST_BYTES = 1 << 29, 1 << 25
 
 
 def keep_freed_memory() -> None:
-    """Have glibc keep what this process frees, blocks below 32 MB, for what it asks for next.
+    """Have glibc keep the blocks below 32 MB that this process frees, for its next allocations.
 
     A fit asks for some MB thousands of times. With the unit's setting, by which the service gives back what its frames
     needed, every MB would be mapped and cleared anew: a third of the time of a fit of ten days.
@@ -64,7 +64,7 @@ _VARIABLES = ("OMP_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
 def one_thread_each() -> None:
     """Have BLAS, OpenMP and OpenCV compute with one thread a process, unless the environment says how many.
 
-    The matrices are small: further threads wait for one another longer than they compute, beside other load ten times
+    The matrices are small: further threads wait for one another longer than they compute, under other load ten times
     as long. Several images or fits at a time are several processes. The libraries read this when they are loaded, and
     processes that are started have it from this one.
     """

@@ -1,4 +1,4 @@
-"""Time, injected: the only place that asks the machine what time it is."""
+"""Time, injected: the only place that asks the machine for the time."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class SystemClock:
         return stop.wait(max(seconds, 0.0))
 
     def state(self) -> ClockState:
-        """Return what the kernel says of its clock."""
+        """Return the kernel's state of its clock."""
         return host_clock_state()
 
 
@@ -88,7 +88,7 @@ class VirtualClock:
             self._stepped_s += seconds
 
     def state(self) -> ClockState:
-        """Return what `set_state` said last; at first, synchronised to within 10 ms."""
+        """Return the state that `set_state` set last; at first, synchronised to within 10 ms."""
         with self._lock:
             return self._state
 
@@ -100,7 +100,7 @@ class VirtualClock:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClockState:
-    """How far the host's clock can be trusted.
+    """Trust in the host's clock.
 
     Attributes
     ----------
@@ -133,7 +133,7 @@ _TIME_OOP, _TIME_WAIT, _TIME_ERROR = 3, 4, 5
 
 
 def host_clock_state() -> ClockState:
-    """Ask the kernel whether its clock is synchronised, and to within what (adjtimex(2), reading only)."""
+    """Ask the kernel whether its clock is synchronised, and within which bound (adjtimex(2), reading only)."""
     timex = _Timex(modes=0)
     answer = ctypes.CDLL(None, use_errno=True).adjtimex(ctypes.byref(timex))
     synchronised = answer not in {-1, _TIME_ERROR} and not timex.status & _STA_UNSYNC

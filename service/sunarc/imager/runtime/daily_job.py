@@ -1,4 +1,4 @@
-"""One job at a fixed interval of monotonic time; it looks for what is due, so a missed night is only a late one."""
+"""One job at a fixed interval of monotonic time; it looks for due work, so a missed night is only a late one."""
 
 from __future__ import annotations
 

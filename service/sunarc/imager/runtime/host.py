@@ -1,4 +1,4 @@
-"""What the service is given by its host: a state folder, a port, and systemd."""
+"""The parts of the service that its host gives: a state folder, a port, and systemd."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Descriptions, examples and times of dataclasses that the API returns: pydantic reads them beside the types.
+"""Descriptions, examples and times of dataclasses that the API returns: pydantic reads them with the types.
 
 `free_bytes: Annotated[int, described("Free space, bytes.", 82_000_000_000)]` is the source of the OpenAPI document's
 description and of the metric's.

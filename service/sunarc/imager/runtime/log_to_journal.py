@@ -4,7 +4,7 @@ Under systemd the lines go to the journal by its native protocol, with fields of
 `SUNARC_KIND` are those of `/v1/events`, `SUNARC_STACK` is an exception's); elsewhere they go to standard error.
 
 Levels: debug, for developers; info, what went as it should; warning, what was lost and is tried again; error, what an
-operator has to look at; critical, what ends the service.
+operator has to act; critical, an error that ends the service.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def start_log(environment: Mapping[str, str]) -> None:
 
 
 def stands_in_journal(environment: Mapping[str, str], *, descriptor: int) -> bool:
-    """Whether a file descriptor is the stream that systemd gave this process (systemd.exec(5), JOURNAL_STREAM)."""
+    """Return whether a file descriptor is the stream of systemd to this process (systemd.exec(5), JOURNAL_STREAM)."""
     try:
         file = os.fstat(descriptor)
     except OSError:
@@ -103,7 +103,7 @@ class Repeats(logging.Filter):
         return window.passed <= self._allowed
 
     def _forget(self, now: float) -> None:
-        """Keep the record of what was said from growing; a window that held something back waits for its next."""
+        """Keep the record of messages from growing; a window that held something back waits for its next."""
         for key, window in list(self._windows.items()):
             # A negative age is that of a window from before the clock was set back: it would never grow old.
             age = now - window.since
@@ -112,7 +112,7 @@ class Repeats(logging.Filter):
 
 
 class _Window:
-    """How often something was said since when."""
+    """Count of a message since a time."""
 
     def __init__(self, since: float) -> None:
         self.since = since

@@ -1,4 +1,4 @@
-"""What workers share: a loop that is stopped and shows that it turns, attempts at work that fails, and their queue."""
+"""Common parts of workers: a loop with stop and heartbeat, repeated attempts at work that fails, and a queue."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ class Attempts:
         self._succeeded_s = self.clock.monotonic()
 
     def attempt(self, work: Callable[[], float | None]) -> float:
-        """Do the work, and return the seconds until the next time: what it returns, or else the usual pause.
+        """Do the work, and return the seconds until the next time: those that it returns, or else the usual pause.
 
         An `OutsideError` is a failure; any other error ends the loop.
         """
@@ -180,13 +180,13 @@ class DropOldestQueue(Generic[T]):
 
     @property
     def dropped(self) -> int:
-        """How many things were dropped so far."""
+        """Number of things dropped so far."""
         with self._changed:
             return self._dropped
 
     @property
     def full(self) -> bool:
-        """Whether the next thing put would push one out."""
+        """Whether the next put would push a thing out."""
         return len(self) >= self._capacity
 
     def __len__(self) -> int:

@@ -1,4 +1,4 @@
-"""The status board: what the service knows about itself, as values; its workers write it, the API reads it."""
+"""The status board: the state of the service, as values; its workers write it, the API reads it."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ class CameraStatus(Returned):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CaptureStatus(Returned):
-    """What capture has counted since the service started; times in real seconds."""
+    """Counts of the capture since the service started; times in real seconds."""
 
     cycles: Annotated[int, described("Slots served by day, a count.", 2880)] = 0
     complete: Annotated[int, described("Cycles whose normal exposures all succeeded, a count.", 2870)] = 0
@@ -137,7 +137,7 @@ class CaptureStatus(Returned):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClockStatus(Returned):
-    """Whether the host's clock is disciplined, the bound of its error, and when the frames' clock was last set."""
+    """State of the host's clock: disciplined or not, bound of its error, and when the frames' clock was last set."""
 
     synchronised: Annotated[
         bool | None, described("Whether a time service disciplines the host's clock; null where not known.", True)
@@ -155,7 +155,7 @@ class ClockStatus(Returned):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DiskStatus(Returned):
-    """What is free where the images are, and what they take."""
+    """Free space of the images' disk, and the size of the images."""
 
     free_bytes: Annotated[int, described("Free space where the images are, bytes.", 82_000_000_000)]
     images_bytes: Annotated[int, described("Size of the stored images, bytes.", 12_000_000_000)]
@@ -165,7 +165,7 @@ class DiskStatus(Returned):
 
 
 class Notes(TypedDict, total=False):
-    """What `StatusRegistry.note` takes."""
+    """Type of the argument of `StatusRegistry.note`."""
 
     camera: CameraStatus
     capture: CaptureStatus
@@ -245,7 +245,7 @@ class StatusRegistry:
         self._earlier_until_s = 0.0
 
     def set_worker(self, status: WorkerStatus) -> None:
-        """Write how a worker is, in place of what was written before."""
+        """Write the state of a worker, in place of the former one."""
         with self._lock:
             self._workers[status.name] = (status, self._monotonic())
 

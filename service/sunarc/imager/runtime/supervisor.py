@@ -80,7 +80,7 @@ class Monitor:
 
 
 class Staleness:
-    """Whether a heartbeat is too old, and a condition on the board while it is.
+    """Check of a heartbeat's age, with a condition on the board while it is too old.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ class SupervisorOptions:
     stale_after_s: Annotated[float, Ge(5.0), Le(3600.0)] = 120.0  # a worker shows signs of life every second
 
     def __post_init__(self) -> None:
-        """Refuse what would give up at once, or take a busy worker for stuck."""
+        """Refuse limits that would end at once, or take a busy worker for stuck."""
         require_bounds(self, section_path="supervisor")
 
 
@@ -164,7 +164,7 @@ class Supervised:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Watchdog:
-    """What the supervisor's watchdog looks at, and what it reports to.
+    """Inputs and outputs of the supervisor's watchdog.
 
     Attributes
     ----------
@@ -328,7 +328,7 @@ class _Life:
         return (self._worker.optional or not stuck) and not self.failed
 
     def _back_off(self) -> bool:
-        """Wait until the next life; return False when there is none, the worker being essential and having failed."""
+        """Wait until the next life; return False for the last one, the worker being essential and having failed."""
         deaths = self._count_death()
         if not self._blocked and (self._died_too_often or deaths > self._worker.options.max_restarts):
             self._fail()
@@ -344,7 +344,7 @@ class _Life:
         return True
 
     def _live(self) -> str | None:
-        """Run the worker once; return what it died of, None when it was stopped."""
+        """Run the worker once; return the error that it died of, None when it was stopped."""
         # Before it is running: `check` would take the age of the life before for this one's, and have it recovered.
         self._born_at = self._clock.monotonic()
         self._enter("running")
@@ -372,7 +372,7 @@ class _Life:
             self._clear("worker_hindered")
 
     def _recover(self) -> None:
-        """Take back what was said of a worker that died, once it has run for longer than the longest back-off."""
+        """Take back the conditions of a worker that died, once it has run for longer than the longest back-off."""
         self._clear_blocked()
         self._died_too_often = False
         self._clear("worker_restarting", "worker_failed")

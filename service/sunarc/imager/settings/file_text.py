@@ -39,7 +39,7 @@ _COMMENTS = {
     "site.timezone": "zone of the local times that are shown",
     "api.port": "of the dashboard and the REST service",
 }
-"""What stands behind a value on a line that is new; `sunarc settings` has the rest."""
+"""Comment behind a value on a line that is new; `sunarc settings` has the rest."""
 _COMMENT_COLUMN = 30
 
 
@@ -49,7 +49,7 @@ def toml_value(value: Value) -> str:
 
 
 def read_text(path: Path) -> str | None:
-    """Return the text of a settings file; None where there is none.
+    """Return the text of a settings file; None without one.
 
     Raises
     ------

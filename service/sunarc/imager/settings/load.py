@@ -1,4 +1,4 @@
-"""Reading of settings: the environment before the file before the defaults; what is wrong is refused in one line."""
+"""Reading of settings: the environment before the file before the defaults; a fault is refused in one line."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def _read_toml(path: Path) -> dict[str, Any]:
 
 
 def _environment() -> dict[str, Any]:
-    """Return what SUNARC_SECTION__NAME=value sets, where value is written as in TOML (or is a bare text)."""
+    """Return the settings of SUNARC_SECTION__NAME=value, where value is written as in TOML (or is a bare text)."""
     nested: dict[str, Any] = {}
     for variable, text in sorted(os.environ.items()):
         if not variable.startswith(_PREFIX) or variable == _CONFIG_VARIABLE:

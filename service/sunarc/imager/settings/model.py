@@ -1,4 +1,4 @@
-"""What can be set, by section."""
+"""Settings by section."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ class _WithStore(BaseModel):
 
 
 class HubSettings(_WithStore):
-    """What a hub takes of the settings: where its archive is, the web server, and receivers of messages."""
+    """Settings of a hub: its archive, the web server, and receivers of messages."""
 
     model_config = ConfigDict(extra="ignore", frozen=True)
 

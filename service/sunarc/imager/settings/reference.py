@@ -40,7 +40,7 @@ _FOR_PYTHON = (
     "supervisor.max_restarts",
     "supervisor.within_s",
 )
-"""What the names of options' fields begin with that tests and studies vary, and no file sets."""
+"""Beginning of the names of options' fields that tests and studies vary, and no file sets."""
 _ATTRIBUTE = re.compile(r"^    (\w+(?:, \w+)*) : (.*(?:\n        .*)*)", re.MULTILINE)
 
 
@@ -51,7 +51,7 @@ class Setting:
     Attributes
     ----------
     name : dotted path.
-    default : as in TOML; "required" where there is none, "unset" for None.
+    default : as in TOML; "required" without one, "unset" for None.
     allowed : type and bounds in words, or the permitted texts.
     meaning : what it does, with its unit.
     """

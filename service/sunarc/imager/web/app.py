@@ -84,7 +84,7 @@ _TAGS = {
     "drawing": "lines and maps to draw over the image",
 }
 _TEXTS = {"text/plain": "string", "application/yaml": "object"}
-"""Type of the content of the media types that are no bytes; YAML is what a reader of it makes of it."""
+"""Type of the content of the media types that are no bytes; YAML is the value that its reader makes of it."""
 
 
 def describe(app: FastAPI) -> None:
@@ -127,7 +127,7 @@ def _describe_bytes(responses: dict[str, Any]) -> None:
 
 
 def _only_problems(responses: dict[str, Any]) -> None:
-    """Replace FastAPI's own answer to what is invalid, and add the ones that any route may give."""
+    """Replace FastAPI's own answer to invalid requests, and add the ones that any route may give."""
     if "HTTPValidationError" in str(responses.get("422", "")):
         responses["422"] = problems.answers(422)[422]
     for status, answer in problems.answers(400, 401, 421, 422, 429, 500, 503).items():
@@ -137,7 +137,7 @@ def _only_problems(responses: dict[str, Any]) -> None:
 _ENSEMBLES = 4
 """Ensembles that are kept: each of up to 64 draws, 5 MB."""
 _MOST_STREAMS = 64
-"""Streams of events that are open at once: each costs a look at the archive's revision twice a second."""
+"""Streams of events that are open at once: each queries the archive's revision twice a second."""
 STATIC = FilePath(__file__).parent / "static"
 _WORTH_COMPRESSING_BYTES = 1400  # less fits into one packet as it is
 _COMPRESSION_LEVEL = 4  # of JSON's numbers, higher ones make little more than work
@@ -172,7 +172,7 @@ def create_app(
     frame_clock : the frames' time, aware.
     latest_image : returns the newest preview's file (JPEG or PNG), or None.
     options : limits and the token.
-    images : the composites; None where there are none.
+    images : the composites; None without them.
     timezone : IANA name of the zone whose local times are shown with those in UTC.
     is_replay : whether the frames' clock is that of a replay or of a simulation.
     stopping : returns whether the service is about to stop: streams of events end then.
@@ -240,7 +240,7 @@ def new_application(title: str) -> FastAPI:
 
 
 def complete(app: FastAPI, context: ApiContext) -> None:
-    """Add what every application has in common: problem documents, its description, and limits."""
+    """Add the common parts of every application: problem documents, its description, and limits."""
     faults = problems.FaultLog()
     problems.add_problem_handlers(app, faults)
     describe(app)
@@ -248,7 +248,7 @@ def complete(app: FastAPI, context: ApiContext) -> None:
 
 
 def count_requests(app: FastAPI, numbers: CollectorRegistry) -> None:
-    """Count the requests and what the process uses, where Prometheus's numbers are registered."""
+    """Count the requests and the process's use of resources, where Prometheus's numbers are registered."""
     counts = RequestCounts()
     numbers.register(counts)
     ProcessCollector(registry=numbers)
@@ -256,7 +256,7 @@ def count_requests(app: FastAPI, numbers: CollectorRegistry) -> None:
 
 
 def _add_guards(app: FastAPI, context: ApiContext, faults: problems.FaultLog) -> None:
-    """Put what every request passes before the application, the innermost first."""
+    """Put the guards of every request before the application, the innermost first."""
     options = context.options
     app.add_middleware(
         GZipMiddleware,

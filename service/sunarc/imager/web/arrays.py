@@ -44,7 +44,7 @@ _REMEDY = "send what numpy.save writes: two dimensions, float64 or float32, C or
 
 
 def read_rows(body: bytes, *, columns: tuple[int, ...], most: int) -> Rows:
-    """Return the rows of a .npy file; InputError where it is none, RefusedError (413) where it holds too many.
+    """Return the rows of a .npy file; InputError for an invalid one, RefusedError (413) for too many rows.
 
     Parameters
     ----------
@@ -199,7 +199,7 @@ class NpyHeaderError(ValueError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NpyHeader:
-    """What a .npy file says of its array.
+    """Header of a .npy file: type, order and shape of its array.
 
     Attributes
     ----------
@@ -358,7 +358,7 @@ def _split(model: type[BaseModel], body: bytes) -> dict[str, msgspec.Raw]:
 
 @cache
 def _readers(model: type[BaseModel]) -> tuple[msgspec.json.Decoder[Any], msgspec.json.Decoder[Any]]:
-    """Return what splits a body into a model's fields: one that refuses other names, and one that skips them."""
+    """Return the readers that split a body into a model's fields: one refuses other names, one skips them."""
     fields = [(name, msgspec.Raw | msgspec.UnsetType, msgspec.UNSET) for name in model.model_fields]
     kinds = (msgspec.defstruct(model.__name__, fields, forbid_unknown_fields=strict) for strict in (True, False))
     strict, lenient = (msgspec.json.Decoder(kind) for kind in kinds)

@@ -39,7 +39,7 @@ _YEARS = (0.0, 7_258_118_400.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Answering:
-    """What answers a question.
+    """Calibration that answers a question.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class Answering:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Timeline:
-    """What answers for each of many times.
+    """Calibrations that answer for each of many times.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class Timeline:
         return tuple(dict.fromkeys(one.record.id for one in self.answers))
 
     def split(self, times: FloatArray) -> Iterator[tuple[Answering, IntArray]]:
-        """Yield what answers for points of these times, and which points (indices)."""
+        """Yield the answering calibration of points of these times, and which points (indices)."""
         groups = self.groups[np.searchsorted(self.times, times)]
         for group in np.unique(groups).tolist():
             yield self.answers[group], np.flatnonzero(groups == group)
@@ -97,7 +97,7 @@ class Timeline:
 
 
 def answering_at(context: ApiContext, request: Request, at: datetime | None) -> Answering:
-    """Return what answers a request for one time, now where there is none."""
+    """Return the calibration that answers a request for one time, now without one."""
     selected, record = context.answering(request, at)
     return Answering(
         context=selected, record=record, ready=selected.ready.get(record), time=at or selected.frame_clock()
@@ -105,7 +105,7 @@ def answering_at(context: ApiContext, request: Request, at: datetime | None) -> 
 
 
 def answering_each(context: ApiContext, request: Request, asked: FloatArray) -> Answering:
-    """Return what answers a request whose points have times of their own; by itself it is that of the first time.
+    """Return the calibrations of a request whose points have times; by itself it is that of the first time.
 
     Raises
     ------
@@ -136,7 +136,7 @@ def answering_each(context: ApiContext, request: Request, asked: FloatArray) -> 
 
 
 def records_at(context: ApiContext, unix_s: FloatArray, requested_unix_s: FloatArray) -> list[CalibrationRecord]:
-    """Return what answers at each of rising times.
+    """Return the records that answer at each of rising times.
 
     A calibration answers for one interval of time (one that is made current again does so as a copy), so that what
     answers at two times answers between them.
@@ -266,7 +266,7 @@ class Computation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Question:
-    """What a request asks beside its rows: the time, and how many draws of which seed."""
+    """Question of a request apart from its rows: the time, and how many draws of which seed."""
 
     at: datetime | None
     draws: int
@@ -367,7 +367,7 @@ def _ensemble(answering: Answering, question: Question) -> Ensemble:
 def _answering(
     computation: Computation, context: ApiContext, request: Request, rows: Rows, question: Question
 ) -> Answering:
-    """Return what answers: for the time of each row where they have one, else for the one that is asked for."""
+    """Return the answering calibrations: for the time of each row where it has one, else for the request's."""
     times = computation.times(rows)
     if times is None or not len(times):
         return answering_at(context, request, question.at)

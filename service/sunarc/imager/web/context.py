@@ -1,4 +1,4 @@
-"""Dependencies of the routes of one application, and what is cached for them."""
+"""Dependencies of the routes of one application, and their caches."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ register_url_convertor("of_camera", _OfCamera())
 
 
 class SingleFlightCache(Generic[Input, Value]):
-    """What was made of what was asked for lately: made once, however many ask at the same time.
+    """Cache of recent answers: each made once, however many ask at the same time.
 
     Parameters
     ----------
@@ -68,11 +68,11 @@ class SingleFlightCache(Generic[Input, Value]):
         self._cache: OrderedDict[str, Value] = OrderedDict()
 
     def cached_value(self, requested: Input | None) -> Value | None:
-        """Return what is there already, at once."""
+        """Return a value that is there already, at once."""
         return None if requested is None else self._cache.get(self._key(requested))
 
     def get(self, requested: Input) -> Value:
-        """Return what is asked for; it may have to be made."""
+        """Return a value; it may have to be made."""
         key = self._key(requested)
         # Made under the lock: who asks for the same meanwhile waits for it, and does not make it again.
         with self._lock:
@@ -95,7 +95,7 @@ class Sampling:
 
     @property
     def key(self) -> str:
-        """Return what makes it another ensemble."""
+        """Return the key of the ensemble."""
         return f"{self.calibration}/{self.seed}/{self.draws}"
 
 
@@ -148,7 +148,7 @@ class ApiContext:
     is_replay: bool = False
 
     def of(self, request: Request) -> ApiContext:
-        """Return what is served of the camera in a request's path, by the calibration that its query names.
+        """Return the serving state of the camera in a request's path, by the calibration that its query names.
 
         Where the path names no camera it is this service's own.
         """
@@ -161,16 +161,16 @@ class ApiContext:
         return selected if chosen is None else replace(selected, chosen=chosen)
 
     def answering(self, request: Request, at: datetime | None) -> tuple[ApiContext, CalibrationRecord]:
-        """Return what `of` returns, and the calibration of it that answers now, or for the moment `at`."""
+        """Return the serving state as `of` does, and its calibration that answers now, or for the moment `at`."""
         selected = self.of(request)
         return selected, selected.record(at)
 
     def named(self, name: str) -> ApiContext:
-        """Return what is served of a camera; an empty name is this service's own."""
+        """Return the serving state of a camera; an empty name is this service's own."""
         return self if name in ("", self.camera) else self._of_another(name)
 
     def _of_another(self, name: str) -> ApiContext:
-        """Return what the archive remembers of a camera that another service drives."""
+        """Return the archive's record of a camera that another service drives."""
         record = self.archive.cameras.get(name)
         if record is None:
             raise NotFoundError(field="camera", problem=f"there is no camera {name}", remedy="see /v1/cameras")

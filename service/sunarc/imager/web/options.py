@@ -1,4 +1,4 @@
-"""What can be set about the web server."""
+"""Options of the web server."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from sunarc.common.bounds import Count, require_bounds
 from sunarc.common.errors import InputError
 
 MIN_RATE_BYTES_PER_S = 4000.0
-"""A client that sends or reads more slowly is cut off; half of what a telephone modem did."""
+"""A client that sends or reads more slowly is cut off; half the rate of a telephone modem."""
 
 _MAX_ALLOWED_HOSTS = 64
 _HOST_NAME = re.compile(r"[A-Za-z0-9_](?:[A-Za-z0-9._-]{0,252})")
@@ -65,7 +65,7 @@ class ApiOptions:
     request_within_s: Annotated[float, Ge(0.1), Le(3600.0)] = 30.0
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be served."""
+        """Refuse options that cannot be served."""
         require_bounds(self, section_path="api")
         _check_hosts(self.allowed_hosts)
         for origin in self.cors_origins:

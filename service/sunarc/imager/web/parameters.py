@@ -52,7 +52,7 @@ Next = Annotated[
 
 
 class Body(BaseModel):
-    """What is asked; unknown names are refused."""
+    """Body of a request; unknown names are refused."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -92,7 +92,7 @@ CalibrationId = Annotated[
 
 
 def row_limit(most: int = MOST_ROWS) -> Any:  # noqa: ANN401 - as FastAPI's Query
-    """Return what says how many rows a page may have."""
+    """Return the dependency that bounds the rows of a page."""
     return Query(ge=1, le=most, description="Number of rows on a page, at most.", examples=[100])
 
 
@@ -125,7 +125,7 @@ class Page:
 
     @property
     def rows(self) -> int:
-        """How many rows to query: those of earlier pages, the page, and one that shows whether there are more."""
+        """Number of rows to query: those of earlier pages, the page, and one that shows whether there are more."""
         return self.skip + self.limit + 1
 
     def until(self, requested: datetime | None) -> datetime | None:

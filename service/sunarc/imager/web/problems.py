@@ -87,7 +87,7 @@ def _identify(error: BaseException) -> tuple[str, str]:
 MEDIA_TYPE = "application/problem+json"
 _MOST_FAULTS = 20
 _RETRY_AFTER_S = 5
-"""What is outside (a database, a disk) is mostly away for seconds, as in a restart."""
+"""A database or a disk is mostly away for seconds, as in a restart."""
 NO_CALIBRATION = "no_calibration"
 _NEXT_CALIBRATION_S = 60
 """Between two questions for the first calibration, which a clear day makes."""
@@ -245,7 +245,7 @@ def answers(*statuses: int) -> Responses:
 
 
 def add_problem_handlers(app: FastAPI, faults: FaultLog) -> None:
-    """Answer every failure of an application with a problem document; `FaultGuard` does so for what is left."""
+    """Answer every failure of an application with a problem document; `FaultGuard` does so for the rest."""
 
     async def ours(request: Request, error: Exception) -> JSONResponse:
         if _is_fault(error):
@@ -260,7 +260,7 @@ def add_problem_handlers(app: FastAPI, faults: FaultLog) -> None:
 
 @dataclass(eq=False)
 class FaultGuard:
-    """Answers with a problem what nothing behind it has answered; the stack goes to the log once.
+    """Answers with a problem where nothing behind it has answered; the stack goes to the log once.
 
     The web framework's own guard hands the exception on to the server, which would write its stack each time.
 
@@ -368,7 +368,7 @@ def _methods(request: Request) -> set[str]:
 
 
 def _is_fault(error: Exception) -> bool:
-    """Whether an error says something of the service, and nothing of the request or of what is outside."""
+    """Return whether an error is one of the service, and not of the request or of its surroundings."""
     return not isinstance(error, RefusedError | InputError | OutsideError)
 
 
@@ -434,7 +434,7 @@ def require_known_names(request: Request) -> None:
 
 
 def _names(dependant: Dependant) -> Iterator[str]:
-    """Yield the names of the query parameters of a route and of what it depends on."""
+    """Yield the names of the query parameters of a route and of its dependencies."""
     for parameter in dependant.query_params:
         yield parameter.alias
     for further in dependant.dependencies:

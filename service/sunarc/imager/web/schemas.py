@@ -1,4 +1,4 @@
-"""What is asked and answered, with units and examples (conventions: docs/conventions.md).
+"""Requests and answers, with units and examples (conventions: docs/conventions.md).
 
 Pixels are (x, y) in px, x right, y down, (0, 0) the centre of the top-left pixel. Directions are apparent (refracted):
 zenith and azimuth in degrees, azimuth clockwise from north; or unit vectors, east-north-up. Times are RFC 3339, UTC.
@@ -286,7 +286,7 @@ class SunTrack(BaseModel):
 
 
 class Residual(BaseModel):
-    """A sighting minus what the current calibration expects."""
+    """A sighting minus the pixel that the current calibration expects."""
 
     x_px: float = Field(description="Seen minus expected, px.", examples=[0.021])
     y_px: float = Field(description="Seen minus expected, px.", examples=[-0.013])
@@ -339,7 +339,7 @@ class Alive(BaseModel):
 
 
 class Readiness(BaseModel):
-    """Whether the service can be relied on."""
+    """Readiness of the service."""
 
     status: Annotated[Health, described("The worst of the reasons' severities; `ready` without one.")]
     state: StateNow

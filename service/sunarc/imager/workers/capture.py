@@ -86,7 +86,7 @@ class CycleConsistencyFilter:
         )
 
     def accepted_cycles(self, taken: Cycle) -> list[Cycle]:
-        """Return what may be handed on now that this cycle is whole: nothing, this one, or one held back and this."""
+        """Return the cycles to hand on now that this one is whole: an empty list, this one, or one held back too."""
         level = _level_of_cycle(taken.good)
         if self._reference is not None and self._reference.factor_to(level) is not None:
             self._reference, self._held_back = level, None
@@ -162,7 +162,7 @@ class CaptureWorker:
     sun_exposures : which sun exposures to take next.
     cycles, sun_frames : where the normal frames of a cycle and the sun frames go.
     board : where the camera's state is shown.
-    night : chooses the exposures of the night, and takes their frames; None looks at no stars.
+    night : chooses the exposures of the night, and takes their frames; None takes no stars.
     on_frame : called with every frame as soon as it is there, in the thread of capture.
     """
 
@@ -487,7 +487,7 @@ class ComposeWorker:
     cycles : the frames of one cycle at a time.
     store : where composites go.
     options : the sensor.
-    describe : what a composite's file says of itself.
+    describe : text of a composite's file about itself.
     board : where a disk that refuses is reported.
     """
 

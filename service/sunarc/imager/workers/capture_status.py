@@ -25,7 +25,7 @@ _DARK_SLOTS = 10
 
 @dataclass(eq=False)
 class RepeatedCondition:
-    """A condition of what has happened so often in a row.
+    """A condition after so many repetitions in a row.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ class CaptureReport:
 
     @property
     def failure(self) -> str:
-        """How an exposure failed the last time."""
+        """Failure of the last exposure."""
         return self._failure
 
     def add(self, **counts: int) -> None:

@@ -115,13 +115,13 @@ class FrameTime:
 _WINDOWS_S = (60.0, 3600.0)
 """Times over which many small steps are added up."""
 _SLEW = 500e-6
-"""Rate of wall time against monotonic time that is no step: what a time service corrects a quartz by, piecemeal."""
+"""Rate of wall time against monotonic time below a step: that of a time service which corrects a quartz, piecemeal."""
 _INTERVALS_KEPT = 64
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClockReading:
-    """Wall time beside monotonic time, the two read within `within_s` of one another."""
+    """Wall time and monotonic time, the two read within `within_s` of one another."""
 
     wall: datetime
     monotonic_s: float
@@ -157,7 +157,7 @@ class ClockStep:
 
 
 def step_between(before: ClockReading, now: ClockReading, *, least_s: float) -> ClockStep | None:
-    """Return the step between two readings; None where there is none of more than `least_s`.
+    """Return the step between two readings; None below `least_s`.
 
     A kernel that slews its clock slews its monotonic clock alike, so that their difference moves by steps alone.
     """
@@ -209,7 +209,7 @@ class UntrustedTimes:
         self._growing = False
 
     def note(self, before: ClockReading | None, now: ClockReading, *, step: ClockStep | None, trusted: bool) -> None:
-        """Take a look at the clock: its reading, the one before, the step between them, and whether it is trusted."""
+        """Take note of the clock: its reading, the one before, the step between them, and whether it is trusted."""
         since = now.wall if before is None else before.wall
         if step is not None:
             if self._growing:
@@ -232,7 +232,7 @@ class UntrustedTimes:
 _log = logging.getLogger(__name__)
 
 UNKNOWN_ERROR_S = 1e9
-"""What stands for "no bound": a host without a battery starts years off."""
+"""Stands for "no bound": a host without a battery starts years off."""
 _TRANSPORT_S = 1.0  # a camera's time is learnt when its frame has come
 _LEAP_WITHIN_S = 0.1
 _MAX_STEPS = 16
@@ -305,7 +305,7 @@ class ClockWatch:
         return self._bound_s() < UNKNOWN_ERROR_S and not self._camera_off_s and not self._is_camera_far_off()
 
     def error_s(self, time: datetime) -> float:
-        """Return the bound of the error of a frame's time; `UNKNOWN_ERROR_S` where there is none."""
+        """Return the bound of the error of a frame's time; `UNKNOWN_ERROR_S` without one."""
         self._compare()
         with self._lock:
             doubts = [abs(step.step_s) for step in self._doubts if step.doubts(time)]
@@ -557,7 +557,7 @@ def is_tai(offset_s: float) -> bool:
 
 
 def camera_offset(offset_s: float, *, limit_s: float) -> Finding:
-    """Return that the camera's time is not the host's, and what that difference looks like."""
+    """Return that the camera's time differs from the host's, and the cause that the difference suggests."""
     if is_tai(offset_s):
         cause = f"; {TAI_MINUS_UTC_S:.0f} s is TAI - UTC"
         remedy = f'set camera.timestamp_scale = "{"tai" if offset_s > 0.0 else "utc"}"'

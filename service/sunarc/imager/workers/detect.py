@@ -113,7 +113,7 @@ class FrozenFrames:
         return replace(detection, accepted=False, verdict=FROZEN, findings=(repeated,))
 
     def _same_image(self, frame: Frame) -> datetime | None:
-        """Return the time of an earlier frame with the same bytes; None where there is none, or they say nothing."""
+        """Return the time of an earlier frame with the same bytes; None without one, or for bytes without content."""
         if not _is_informative(frame.image):
             return None
         digest = hashlib.blake2b(np.ascontiguousarray(frame.image).data, digest_size=16).digest()
@@ -205,12 +205,12 @@ class SightingWriteBuffer:
 
     @property
     def waiting(self) -> int:
-        """How many sightings wait."""
+        """Number of waiting sightings."""
         return len(self._waiting)
 
     @property
     def stored(self) -> int:
-        """How many sightings were stored so far."""
+        """Number of sightings stored so far."""
         return self._stored
 
     def keep(self, point: SunPoint, *, store: bool = True) -> None:
@@ -229,7 +229,7 @@ class SightingWriteBuffer:
             self.store()
 
     def store(self) -> None:
-        """Try to store what waits."""
+        """Try to store the waiting sightings."""
         try:
             while self._waiting:
                 some = [self._waiting[number] for number in range(min(len(self._waiting), _AT_A_TIME))]
@@ -348,7 +348,7 @@ class DetectWorker:
         return beside([result.detection for result in earlier], detection, shifts=complete)
 
     def _or_elsewhere(self, frame: Frame, found: Detection, expectation: Expectation | None) -> Detection:
-        """Return what was found, or a clean disc anywhere in a frame that has none where it is due."""
+        """Return the detection, or a clean disc anywhere in a frame that has none where it is due."""
         if found.accepted or expectation is None or found.verdict not in _PERHAPS_ELSEWHERE:
             return found
         sensor, options = sensor_of(frame, self.options), self._with_brightness(frame.time)

@@ -195,7 +195,7 @@ class SunExposures:
     def choose(self, info: CameraInfo) -> tuple[float, ...]:
         """Return this cycle's sun exposures in microseconds, within the camera's bounds.
 
-        A cycle whose frames have not been looked at yet changes nothing.
+        A cycle whose frames have not been measured yet changes nothing.
         """
         bounds = info.exposure_bounds
         zenith, clear_level = self.apparent_zenith(), self.clear_level_per_us()

@@ -72,7 +72,7 @@ class FeedComparison:
         self._windows: deque[tuple[date, date]] = deque()
         self._not_before_s = -math.inf
         self._sent_again: set[KindDay] = set()
-        """What was sent again this night."""
+        """Rows that were sent again this night."""
         self._others: dict[KindDay, _OwnAndHub] = {}
         """Days of which the hub has more rows: they stay so, and are not sent again every night."""
         self._lacking: set[KindDay] = set()
@@ -112,7 +112,7 @@ class FeedComparison:
         self._sent_again.clear()
 
     def _compare(self, since: date, until: date, heartbeat: Callable[[], None]) -> bool:
-        """Compare the days of a window, as many as either side reads at once, and queue what differs."""
+        """Compare the days of a window, as many as either side reads at once, and queue the rows that differ."""
         outbox = self.camera.archive.outbox
         own = outbox.digests(self.camera.name, since=since, until=until)
         if own is None:
@@ -160,7 +160,7 @@ class FeedComparison:
                 yield (kind, day), _OwnAndHub(here, there)
 
     def _judge(self, after: dict[KindDay, _OwnAndHub]) -> None:
-        """Say what differs though it was sent again."""
+        """Report the rows that differ though they were sent again."""
         others = {key: pair for key, pair in after.items() if pair.hub.n > pair.own.n}
         new = {key: pair for key, pair in others.items() if self._others.get(key) != pair}
         if new:
@@ -197,18 +197,18 @@ def _days_of(pairs: Iterable[KindDay]) -> dict[str, int | str]:
 _log = logging.getLogger(__name__)
 _MOST_ROWS = 1000
 _QUICK_S = 7.5
-"""An exchange that took no longer, a quarter of what it may take, shows that the next may have twice the rows."""
+"""An exchange that took no longer, a quarter of the limit, shows that the next may have twice the rows."""
 _MOST_BYTES = 1_000_000  # of JSON, a tenth of that on the way
 _STATUS_EVERY_S = 60.0
 LONGEST_WAIT_S = 60.0
 SILENT_S = 900.0
-"""A hub that was not reached for so long is a condition; a network that is lost for minutes is none."""
+"""A hub that was not reached for so long is a condition; a network that is lost for minutes is not."""
 _UNREACHABLE, _REFUSED, _INVALID = "hub_unreachable", "hub_refuses", "hub_answer_invalid"
 
 
 @dataclass(kw_only=True, eq=False)
 class FeedWorker:
-    """Sends what the outbox holds, and forgets it when the hub has it.
+    """Sends the rows of the outbox, and forgets them when the hub has them.
 
     Parameters
     ----------
@@ -217,7 +217,7 @@ class FeedWorker:
     ask : asks what the hub has.
     clock : real time.
     board : whose status the hub gets, and where a hub that does not answer is shown.
-    every_s : seconds between two looks at the outbox.
+    every_s : seconds between two queries of the outbox.
     asked_s : returns for how many seconds more the hub asks to wait.
     """
 
@@ -371,7 +371,7 @@ class FeedWorker:
             raise HubAnswerError(f"the number {committed}, of no row that was sent")
 
     def _status(self) -> Mapping[str, Any]:
-        """Return what the fleet page shows of this imager."""
+        """Return the fleet page's row of this imager."""
         board = self.board.snapshot()
         days = self.camera.archive.days.find(self.camera.name, limit=1)
         offset = days[0].pose_offset_deg if days else None

@@ -23,7 +23,7 @@ _log = logging.getLogger(__name__)
 _MOST_ADDRESSES = 4
 """Of a host that has many."""
 _PART_BYTES = 65_536
-"""Of what is read or written at once, and of the head of an answer."""
+"""Bytes that are read or written at once, and of the head of an answer."""
 _TURN_S = 1.0
 """Between two heartbeats of an exchange that is under way."""
 
@@ -64,11 +64,11 @@ class Trust:
 
     Parameters
     ----------
-    ca_file : with certificates beside those of the system.
+    ca_file : with certificates in addition to those of the system.
 
     Raises
     ------
-    OSError : the file cannot be read, or is none.
+    OSError : the file cannot be read, or is invalid.
     """
 
     def __init__(self, ca_file: Path | None = None) -> None:
@@ -148,7 +148,7 @@ class Limit:
         self._until_s = self.monotonic() + self.within_s
 
     def left_s(self) -> float:
-        """Beat, and return the seconds that are left; TimeoutError where there are none."""
+        """Beat, and return the seconds that are left; TimeoutError at the end."""
         self.heartbeat()
         left_s = self._until_s - self.monotonic()
         if left_s <= 0.0:
@@ -156,7 +156,7 @@ class Limit:
         return left_s
 
     def read(self, channel: socket.socket) -> bytes:
-        """Return the next bytes from a channel; none where it was closed."""
+        """Return the next bytes from a channel; empty where it was closed."""
         while True:
             channel.settimeout(min(self.left_s(), _TURN_S))
             with suppress(TimeoutError):
@@ -262,7 +262,7 @@ def _reached(host: str, port: int, limit: Limit) -> socket.socket:
 
 
 def _open_tunnel(channel: socket.socket, target: str, limit: Limit) -> None:
-    """Ask a proxy to pass on what is sent to a host and port."""
+    """Ask a proxy to pass the connection on to a host and port."""
     events: list[h11.Event] = [h11.Request(method="CONNECT", target=target, headers=[("host", target)])]
     status = _answer(channel, [*events, h11.EndOfMessage()], limit, 0).status
     if status != 200:

@@ -1,4 +1,4 @@
-"""The connection of an imager to its hub: rows that are sent, and what the hub says that it has."""
+"""The connection of an imager to its hub: sent rows, and the hub's answers about its stored rows."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _COMPRESSION_LEVEL = 4  # rows become a tenth; higher levels cost more time than
 
 
 class HubRefusal(Exception):  # noqa: N818 - an answer, and no fault
-    """The hub refuses what was sent.
+    """Refusal of a batch by the hub.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class HubAnswerError(OutsideError):
 _STORED_DAYS = TypeAdapter(StoredDays)
 
 AskStoredDays = Callable[[str, date, date, Callable[[], None]], StoredDays]
-"""Asks as an installation for what a hub has of the days from one to before another, with the caller's heartbeat."""
+"""Asks as an installation for a hub's rows of the days from one to before another, with the caller's heartbeat."""
 Send = Callable[[OutboxPosition, Sequence[FeedRow], Callable[[], None]], int]
 """Sends rows that follow a position, with the caller's heartbeat, and returns the number that the hub answers."""
 
@@ -123,7 +123,7 @@ class HubConnection:
         return number
 
     def stored_days(self, installation: str, since: date, until: date, heartbeat: Callable[[], None]) -> StoredDays:
-        """Return what the hub has of the days `since` <= day < `until`, as far as it says at once.
+        """Return the hub's rows of the days `since` <= day < `until`, as many as it answers at once.
 
         Raises
         ------

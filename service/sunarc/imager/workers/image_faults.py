@@ -29,7 +29,7 @@ _MOST_IMAGES = 16
 _NOISE_SHARE, _NOISE_PAIRS = 0.02, 10
 """Of the textured tiles, in common at most to so many pairs in a row: the camera's noise reaches all of its images."""
 _GLARE_CHANGES = timedelta(minutes=10)
-"""Within which what surrounds the sun changes, by 2.5 degrees."""
+"""Bound of the changes of the sun's surroundings, by 2.5 degrees."""
 _SUN_EVERY, _TRACK, _MOST_SUNS = timedelta(minutes=1), timedelta(hours=1), 60
 _FEWEST_SUNS = 4
 _LEAST_MOVED_PX, _OFF_PX, _OFF_SIGMAS = 1.5, 1.0, 4.0

@@ -42,7 +42,7 @@ _ONLINE, _OFFLINE = "online", "offline"
 class MqttBroker:
     """A broker that gets notices, at least once each, and keeps every camera's state.
 
-    The connection is driven by the calls: there is no thread beside the worker's. After it was lost a new one begins
+    The connection is driven by the calls: there is no thread but the worker's. After it was lost a new one begins
     with the states, since a broker may have forgotten what it was to keep.
 
     Parameters
@@ -77,7 +77,7 @@ class MqttBroker:
         self._heartbeat: Callable[[], None] = lambda: None
 
     def publish_states(self, heartbeat: Callable[[], None]) -> None:
-        """Keep the connection, and publish what changed of the cameras' states; what takes long goes on next time."""
+        """Keep the connection, and publish the changes of the cameras' states; a long message goes on next time."""
         self._heartbeat = heartbeat
         client = self._connected()
         self._turn(client, 0.0)
@@ -188,7 +188,7 @@ class MqttBroker:
             self._turn(client, _TURN_S)
 
     def _turn(self, client: Client, wait_s: float) -> None:
-        """Read and write what there is."""
+        """Read and write the pending bytes."""
         code = client.loop(wait_s)
         if code != self._mqtt.MQTT_ERR_SUCCESS:
             refusal = next(filter(None, self._accepted), None)
@@ -289,4 +289,4 @@ _ENTITIES: tuple[tuple[str, str, Mapping[str, str]], ...] = (
         },
     ),
 )
-"""What Home Assistant shows of a camera: component, key, and what its description has besides."""
+"""Entities of Home Assistant for a camera: component, key, and the rest of its description."""

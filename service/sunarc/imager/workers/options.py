@@ -1,4 +1,4 @@
-"""What can be set of the workers."""
+"""Options of the workers."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class PushOptions:
     webhook_secret_file: Path | None = None
 
     def __post_init__(self) -> None:
-        """Refuse addresses that are none."""
+        """Refuse invalid addresses."""
         if self.mqtt is not None:
             parts = _checked("push.mqtt", self.mqtt, ("mqtt", "mqtts"))
             if parts.path.strip("/"):
@@ -117,8 +117,8 @@ class NightOptions:
 
     Attributes
     ----------
-    enabled : look at the stars: every `capture.night_cadence_s` while the sun is below -12 degrees an exposure of
-        seconds is taken, and its stars are used beside the sun's sightings.
+    enabled : observe the stars: every `capture.night_cadence_s` while the sun is below -12 degrees an exposure of
+        seconds is taken, and its stars are used with the sun's sightings.
     """
 
     enabled: bool = False
@@ -142,7 +142,7 @@ class SensorOptions:
     blooming: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse what no sensor has."""
+        """Refuse values that no sensor has."""
         require_bounds(self, section_path="sensor")
 
 
@@ -165,7 +165,7 @@ def sensor_of(frame: Frame, options: SensorOptions) -> Sensor:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LensPriorOptions(FirstPoseOptions):
-    """What is known of lens and pose before the first full fit.
+    """Prior of lens and pose before the first full fit.
 
     Attributes
     ----------
@@ -175,7 +175,7 @@ class LensPriorOptions(FirstPoseOptions):
     lens_prior: Path | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what is no pose."""
+        """Refuse an invalid pose."""
         require_bounds(self, section_path="first_pose")
 
 
@@ -198,7 +198,7 @@ class RefitOptions:
     image_circle_px: tuple[CirclePx, CirclePx, CirclePx] | None = None
 
     def __post_init__(self) -> None:
-        """Refuse durations that are none, and a circle without a radius."""
+        """Refuse invalid durations, and a circle without a radius."""
         require_bounds(self, section_path="refit")
         if self.image_circle_px is not None and self.image_circle_px[2] <= 0.0:
             problem = f"the radius {self.image_circle_px[2]:g} is not positive"
@@ -219,7 +219,7 @@ class HubOptions:
     token_file: Path | None = None
 
     def __post_init__(self) -> None:
-        """Refuse an address that is none."""
+        """Refuse an invalid address."""
         parts = urllib.parse.urlsplit("https://none" if self.url is None else self.url)
         if parts.scheme not in {"http", "https"} or not parts.hostname or parts.query or parts.username:
             remedy = "give one as https://fleet.example"
@@ -230,7 +230,7 @@ class HubOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NightlyOptions:
-    """What a hub does once a night.
+    """Work of a hub once a night.
 
     Attributes
     ----------
@@ -240,7 +240,7 @@ class NightlyOptions:
     keep_sightings_days: Annotated[float, Ge(90.0), Le(36_500.0)] = 36_500.0
 
     def __post_init__(self) -> None:
-        """Refuse what would remove what is needed."""
+        """Refuse limits that would remove needed rows."""
         require_bounds(self, section_path="nightly")
 
 
@@ -261,7 +261,7 @@ class ClockOptions:
     assumed_error_s: Duration | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what is no duration."""
+        """Refuse an invalid duration."""
         require_bounds(self, section_path="clock")
 
 

@@ -106,7 +106,7 @@ class PushWorker:
             self.sink.close(graceful=stop.is_set())
 
     def step(self, stop: threading.Event, heartbeat: Callable[[], None]) -> float:
-        """Send what there is, and return the seconds until the next time."""
+        """Send the waiting messages, and return the seconds until the next time."""
         try:
             return self._attempts.attempt(partial(self._send_some, stop, heartbeat))
         except (ConfigurationError, InputError) as error:
@@ -158,7 +158,7 @@ OVERFLOW = "push_overflow"
 
 @dataclass(kw_only=True, eq=False)
 class NoticeWorker:
-    """Looks at every camera, writes notices of what changed, and keeps their states for receivers that show them.
+    """Writes notices of every camera's changes, and keeps their states for receivers that show them.
 
     Parameters
     ----------

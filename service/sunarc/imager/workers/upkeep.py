@@ -22,7 +22,7 @@ from sunarc.imager.runtime.status import DiskStatus, Reason, StatusRegistry, con
 
 _log = logging.getLogger(__name__)
 _DISK_EVERY_S = 5.0
-"""Seconds from check to check: a full cycle's images in between are far below what is kept free."""
+"""Seconds from check to check: a full cycle's images in between are far below the reserve."""
 _UNREADABLE = "images_unreadable"
 _DISK_CODES = ("disk_low", "disk_full", "disk_no_inodes")
 
@@ -138,7 +138,7 @@ class DatabaseWorker:
     waiting: Callable[[], int] = lambda: 0
 
     def __post_init__(self) -> None:
-        """Look every few seconds, and show what was done before."""
+        """Sample every few seconds, and show the former measurements."""
         self._attempts = Attempts(
             self.clock,
             Pauses(_DATABASE_EVERY_S, _DATABASE_EVERY_S),
@@ -279,7 +279,7 @@ class HousekeepingWorker:
         self._failed = False
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
-        """Sample until stopped, and store what is left."""
+        """Sample until stopped, and store the rest."""
         Loop(self.clock, stop, heartbeat).every(_SAMPLE_EVERY_S, self.step)
         self.store()
 
@@ -292,7 +292,7 @@ class HousekeepingWorker:
             self.store()
 
     def _has_ended_hour(self) -> bool:
-        """Whether an hour has just ended: a simulated one lasts seconds. What could not be stored waits its time."""
+        """Return whether an hour has just ended: a simulated one lasts seconds. Sums that failed wait their time."""
         return len(self._waiting) > 1 and not self._failed
 
     def _sample(self, now: datetime) -> None:
@@ -315,7 +315,7 @@ class HousekeepingWorker:
             del self._waiting[min(self._waiting)]
 
     def store(self) -> None:
-        """Store what waits; where that fails it waits on."""
+        """Store the waiting sums; where that fails they wait on."""
         self._stored_s = self.clock.monotonic()
         age_from = self.age_from()
         try:
@@ -341,7 +341,7 @@ SETTLED_S = 900.0
 
 @dataclass(kw_only=True, eq=False)
 class ConditionTimesWorker:
-    """Stores since when conditions hold, and hands the status what the store has at the start.
+    """Stores since when conditions hold, and hands the status the stored times at the start.
 
     Parameters
     ----------
@@ -359,7 +359,7 @@ class ConditionTimesWorker:
     passing: Collection[str] = ()
 
     def __post_init__(self) -> None:
-        """Hand the status what is stored."""
+        """Hand the status the stored times."""
         self._settled_s = self.clock.monotonic() + SETTLED_S
         self._failed = False
         self._stored: Mapping[str, datetime] | None = None
@@ -370,7 +370,7 @@ class ConditionTimesWorker:
         Loop(self.clock, stop, heartbeat).every(_LOOK_EVERY_S, self.step)
 
     def step(self) -> None:
-        """Look once, and store what changed; where that fails it is tried again at the next look."""
+        """Look once, and store the changes; where that fails it is tried again at the next look."""
         if self._stored is None:
             self._resume()
         if self._stored is None:

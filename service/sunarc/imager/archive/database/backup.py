@@ -52,7 +52,7 @@ def backup(path: Path, target: Path, *, replace: bool = False) -> Path:
 
 
 def remove_old_asides(path: Path) -> None:
-    """Remove all but the newest copies that migrations and restores have left beside a database."""
+    """Remove all but the newest copies that migrations and restores have left by a database."""
     beside = [file for file in path.parent.glob(f"{path.name}.*") if _ASIDE.fullmatch(file.name[len(path.name) :])]
     for old in sorted(beside, key=lambda file: file.stat().st_mtime)[:-_KEPT_ASIDE]:
         old.unlink(missing_ok=True)
@@ -124,7 +124,7 @@ def _is_database(path: Path) -> bool:
 
 
 def keep_aside(path: Path, why: str, *, now: datetime) -> Path:
-    """Return the name that a former database is kept under, beside the present one."""
+    """Return the name that a former database is kept under, in the folder of the present one."""
     return path.with_name(f"{path.name}.{why}-{now.astimezone(UTC):%Y%m%dT%H%M%SZ}")
 
 

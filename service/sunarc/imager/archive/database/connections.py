@@ -67,7 +67,7 @@ class DatabaseFile:
         self._identity = (found.st_dev, found.st_ino)
 
     def problem(self) -> str | None:
-        """Return what happened to the file since it was opened; None when it is in place."""
+        """Return the change of the file since it was opened; None when it is in place."""
         try:
             found = self.path.stat()
         except FileNotFoundError:
@@ -250,7 +250,7 @@ def _sqlstate(error: DBAPIError) -> str | None:
 
 
 def contradiction(detail: str) -> InputError:
-    """Return the error of a row that contradicts another, with what the database says of it."""
+    """Return the error of a row that contradicts another, with the database's message."""
     return InputError(
         field="archive",
         problem=f"a row contradicts another ({detail})",
@@ -433,7 +433,7 @@ def is_of_row(connection: Connection, error: DBAPIError) -> bool:
 
 
 def _result_code(error: DBAPIError) -> int:
-    """Return SQLite's result code, without what is added to it; of an error of the driver, that of a row."""
+    """Return SQLite's primary result code; of an error of the driver, that of a row."""
     return getattr(error.orig, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF
 
 

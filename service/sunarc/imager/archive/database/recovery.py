@@ -130,7 +130,7 @@ def _value(kind: int, stored: bytes, count: int) -> Value:
 
 
 def _payload(data: bytes, page: bytes, at: int, length: int, size: int) -> bytes:
-    """Return a cell's payload, with what of it lies on overflow pages (section 1.6)."""
+    """Return a cell's payload, with its part on overflow pages (section 1.6)."""
     most, least = size - 35, (size - 12) * 32 // 255 - 23
     if length <= most:
         return page[at : at + length]
@@ -165,7 +165,7 @@ Recovered = Literal["written_back", "restored", "new", "salvaged"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recovery:
-    """What was done about a missing or damaged database.
+    """Recovery of a missing or damaged database.
 
     Attributes
     ----------
@@ -267,7 +267,7 @@ def rebuild(
 
 
 def _copied(connection: sqlite3.Connection, partial: Path, *, emptied: bool) -> Recovery | None:
-    """Copy what a connection still reads; None where that is no whole database."""
+    """Copy the rows that a connection still reads; None where they are no whole database."""
     done = Recovery(kind="written_back", text="written back from the open connection, nothing is lost")
     if _closed(connection) and partial.exists():  # by an attempt that failed after it had copied
         return done
@@ -286,7 +286,7 @@ def _copied(connection: sqlite3.Connection, partial: Path, *, emptied: bool) -> 
 
 
 def _begun_again(path: Path, partial: Path) -> Recovery:
-    """Copy the newest sound copy of the folder `backups`; where there is none, leave the database to be made."""
+    """Copy the newest sound copy of the folder `backups`; without one, leave the database to be made."""
     copy = newest_sound_copy(path.parent / "backups")
     if copy is None:
         return Recovery(kind="new", text="begun anew, for there was no copy")
@@ -313,7 +313,7 @@ def _salvaged_at_start(path: Path, *, now: datetime) -> Recovery:
 
 
 def _salvaged(connection: sqlite3.Connection, path: Path, partial: Path) -> Recovery:
-    """Put a database together from what can be read of a malformed one, and the newest sound copy for the rest."""
+    """Put a database together from the readable rows of a malformed one, and the newest sound copy for the rest."""
     partial.unlink(missing_ok=True)
     copy = newest_sound_copy(path.parent / "backups")
     if copy is not None:
@@ -341,7 +341,7 @@ def _salvaged(connection: sqlite3.Connection, path: Path, partial: Path) -> Reco
 
 
 def _columns(connection: sqlite3.Connection, table: str) -> tuple[Column, ...]:
-    """Return a table's columns; none where the database does not have it."""
+    """Return a table's columns; empty where the database does not have it."""
     try:
         found = connection.execute(f'PRAGMA table_info("{table}")').fetchall()
     except sqlite3.DatabaseError:

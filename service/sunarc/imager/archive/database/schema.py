@@ -41,7 +41,7 @@ class Check:
 
     @property
     def sound(self) -> bool:
-        """Whether this version can use the database."""
+        """Return whether this version can use the database."""
         return self.revision == self.head and not self.integrity and not self.current_damaged
 
 

@@ -30,7 +30,7 @@ from sunarc.imager.runtime.deadline import SingleCall
 _log = logging.getLogger(__name__)
 
 _UNREADABLE = "\ufffd"
-"""Stands in a text for what is no UTF-8; a key that has it would find no row."""
+"""Stands in a text for bytes that are no UTF-8; a key that has it would find no row."""
 
 Value = TypeVar("Value")
 
@@ -47,7 +47,7 @@ _WITHOUT_CAMERA = ""
 
 
 class CommitTimes:
-    """How long commits took of late, and how long those that are under way have taken; safe to use from any thread."""
+    """Durations of recent commits, and of those that are under way; safe to use from any thread."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -55,7 +55,7 @@ class CommitTimes:
         self._ended: deque[tuple[float, float]] = deque(maxlen=_REMEMBERED_COMMITS)
 
     def begin(self) -> object:
-        """Take note of a commit that begins, and return what `end` takes."""
+        """Take note of a commit that begins, and return the argument of `end`."""
         commit = object()
         with self._lock:
             self._running[commit] = perf_counter()
@@ -430,7 +430,7 @@ def upsert_records(
     columns: Sequence[str],
     key: Sequence[str],
 ) -> None:
-    """Do what `upsert_all` does, on PostgreSQL, in one statement, with rows whose values are as JSON has them.
+    """Write rows as `upsert_all` does, on PostgreSQL, in one statement, with values as JSON has them.
 
     It takes half the processor time, here and in the server. Of rows of one key the last is stored, in the place of
     the first.

@@ -60,7 +60,7 @@ class Number(sa.TypeDecorator[float]):
 
 
 class Count(sa.TypeDecorator[int]):
-    """A whole number; what stands in its place is None."""
+    """A whole number; another value counts as None."""
 
     impl = sa.Integer
     cache_ok = True
@@ -77,7 +77,7 @@ class CalendarDate(sa.TypeDecorator[date]):
     cache_ok = True
 
     def result_processor(self, dialect: sa.Dialect, coltype: object) -> Callable[[Any], date | None]:  # noqa: ARG002 - SQLAlchemy's
-        """Return what reads the stored text."""
+        """Return the reader of the stored text."""
         return _date
 
 
@@ -107,7 +107,7 @@ class FindingTuple(sa.TypeDecorator[tuple[Finding, ...]]):
         return [finding.as_json() for finding in value or ()]
 
     def process_result_value(self, value: Any | None, dialect: sa.Dialect) -> tuple[Finding, ...]:  # noqa: ANN401, ARG002 - SQLAlchemy's
-        """Return the stored findings; none where they cannot be read."""
+        """Return the stored findings; empty where they cannot be read."""
         return tuple(from_json(one) for one in value) if isinstance(value, list) else ()
 
 
@@ -133,7 +133,7 @@ def findings_of_text(text: Any | None) -> tuple[Finding, ...]:  # noqa: ANN401 -
 
 
 class NumberTuple(sa.TypeDecorator[tuple[float, ...]]):
-    """So many numbers, as a JSON list; None where there are none."""
+    """So many numbers, as a JSON list; None without them."""
 
     impl = sa.JSON(none_as_null=True)
     cache_ok = True
@@ -154,7 +154,7 @@ class NumberTuple(sa.TypeDecorator[tuple[float, ...]]):
 
 
 class JsonOf(sa.TypeDecorator[Any]):
-    """A value of a type, as JSON; None where what is stored is none of it, as with a field that is missing.
+    """A value of a type, as JSON; None where the stored value is not one, as with a field that is missing.
 
     Parameters
     ----------
@@ -181,11 +181,11 @@ class JsonOf(sa.TypeDecorator[Any]):
             return None
 
     def read(self, value: object) -> Any:  # noqa: ANN401 - of the type
-        """Return the value of JSON; pydantic's `ValidationError`, which is a `ValueError`, where it is none."""
+        """Return the value of JSON; pydantic's `ValidationError`, which is a `ValueError`, for an invalid one."""
         return self._adapter.validate_python(value)
 
     def schema(self) -> dict[str, Any]:
-        """Return the JSON Schema of what is read."""
+        """Return the JSON Schema of the value."""
         return self._adapter.json_schema()
 
 
@@ -221,7 +221,7 @@ def _convert_to_bytes(element: _StoredBytes, compiler: SQLCompiler, **options: A
 
 
 class stored_as(GenericFunction[bool]):  # noqa: N801 - a function of SQL
-    """Whether a column's value is stored as SQLite's `kind`; on PostgreSQL: whether there is one."""
+    """Whether a column's value is stored as SQLite's `kind`; on PostgreSQL: whether it is present."""
 
     type = sa.Boolean()
     inherit_cache = True
@@ -234,7 +234,7 @@ def _compare_type(element: stored_as, compiler: SQLCompiler, **options: Any) -> 
 
 
 class is_number(GenericFunction[bool]):  # noqa: N801 - a function of SQL
-    """Whether a column's value is a number; on PostgreSQL: whether there is one."""
+    """Whether a column's value is a number; on PostgreSQL: whether it is present."""
 
     type = sa.Boolean()
     inherit_cache = True

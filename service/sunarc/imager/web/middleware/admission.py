@@ -58,7 +58,7 @@ def read_token(path: Path | None, *, setting: str) -> bytes | None:
 
 
 def require_write_token(token: bytes | None) -> Callable[..., Awaitable[None]]:
-    """Return a dependency that refuses requests without the token of a digest, and all where there is none."""
+    """Return a dependency that refuses requests without the token of a digest, and all without a digest."""
 
     async def with_token(given: Annotated[HTTPAuthorizationCredentials | None, Security(_bearer)]) -> None:
         if token is None:
@@ -97,7 +97,7 @@ class ReadTokenMiddleware(HttpMiddleware):
 
 
 def bears_wrong_token(scope: Scope, tokens: tuple[bytes, ...]) -> bool:
-    """Return whether a request bears a token that is none of those of the digests; not so where there are none."""
+    """Return whether a request bears a token that belongs to no digest; False without digests."""
     given = _bearer_token(scope)
     return bool(tokens) and given is not None and not _is_one_of(given, tokens)
 
@@ -117,7 +117,7 @@ def _is_open(path: str) -> bool:
 
 
 def _same(given: str, token: bytes) -> bool:
-    """Compare what is given with a token's digest, in a time that reveals nothing of either."""
+    """Compare a token with a digest, in a time that reveals nothing of either."""
     return hmac.compare_digest(_digest(given.encode("utf-8", "replace")), token)
 
 
@@ -138,7 +138,7 @@ def is_always_answered(scope: Scope) -> bool:
 
 
 class TokenBuckets:
-    """What each client may still ask: a bucket that fills steadily and holds a burst.
+    """Budget of each client: a bucket that fills steadily and holds a burst.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ class TokenBuckets:
         return 0.0 if enough else (1.0 - tokens) / self._per_s
 
     def give_back(self, client: str, price: float, *, now_s: float) -> None:
-        """Put back what was taken for nothing."""
+        """Put back a token that was taken for nothing."""
         self._buckets[client] = (min(self._burst, self._filled(client, now_s) + price), now_s)
 
     def _filled(self, client: str, now_s: float) -> float:
@@ -175,7 +175,7 @@ class TokenBuckets:
 
 @dataclass(kw_only=True, eq=False)
 class RateLimit(HttpMiddleware):
-    """Refuses what one client asks too often (429), and clients whose address a proxy garbles (400).
+    """Refuses requests of one client that come too often (429), and clients whose address a proxy garbles (400).
 
     A client on loopback is not counted: it is the host itself, or a proxy that does not state for whom it asks.
 
@@ -228,7 +228,7 @@ class RateLimit(HttpMiddleware):
 
 @dataclass(kw_only=True, eq=False)
 class ConcurrencyLimit(HttpMiddleware):
-    """Refuses what is too much at once (503), or ends the oldest request of an address that has more under way.
+    """Refuses requests beyond the limit (503), or ends the oldest request of an address that has more under way.
 
     A request is counted from when its body is there to when its answer is written; streams of events, which have no
     end, are counted apart.
@@ -267,7 +267,7 @@ class ConcurrencyLimit(HttpMiddleware):
 def too_many(
     problem: str, scope: Scope, status: HTTPStatus = HTTPStatus.TOO_MANY_REQUESTS, *, wait_s: float = 1.0
 ) -> ASGIApp:
-    """Return the refusal of what is too much, with the seconds to wait."""
+    """Return the refusal of a request beyond the limit, with the seconds to wait."""
     seconds = math.ceil(wait_s)
     remedy = f"wait {seconds} s and try again, with more pixels per request where there are many"
     fault = Fault(field="request", problem=problem, remedy=remedy)
@@ -302,7 +302,7 @@ class AllowedHosts(HttpMiddleware):
 
     In a DNS rebinding attack the browser sends the attacker's name. Addresses are always answered: an address cannot
     be rebound, and clients behind a port forwarding use one that the host does not know. A request without the
-    header is none of a browser's.
+    header is not a browser's.
 
     Parameters
     ----------

@@ -93,7 +93,7 @@ class BoundedConnection(asyncio.Protocol):
         self._http.connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
-        """Hand on what came; of an idle connection it begins a head, whose rest has to come in time."""
+        """Hand on the bytes that came; on an idle connection they begin a head, whose rest has to come in time."""
         before = _connection.set(self)  # the task that answers a request inherits it
         self._http.data_received(data)
         _connection.reset(before)
@@ -143,10 +143,10 @@ class BoundedConnection(asyncio.Protocol):
         self._write_timer = self._loop.call_later(self._patience_s, check)
 
     def _unread_bytes(self) -> int:
-        """Return what was written and is not acknowledged by the client: here, and in the kernel's buffer.
+        """Return the written bytes that the client has not acknowledged: here, and in the kernel's buffer.
 
         The kernel's buffer holds megabytes and asks for more only when a good part of it is free, so that a client
-        that reads steadily seems to read nothing for minutes if only this side's buffer is looked at.
+        that reads steadily seems to read nothing for minutes if only this side's buffer is counted.
         """
         return self._transport.get_write_buffer_size() + _in_kernel_bytes(self._transport)
 
@@ -194,7 +194,7 @@ class RequestFollower(HttpMiddleware):
 
 
 async def _receive_arrived(receive: Receive) -> None:
-    """Receive what has come of a body, and wait for no more."""
+    """Receive the part of a body that has come, and wait for no more."""
     try:
         async with asyncio.timeout(0):
             while (await receive()).get("more_body", False):
@@ -221,7 +221,7 @@ class _ProblemTransport:
         return getattr(self._transport, name)
 
     def write(self, data: bytes) -> None:
-        """Write what is no refusal of uvicorn's."""
+        """Write an answer that is not a refusal of uvicorn's."""
         self._refused = self._refused or (data.startswith(b"HTTP/1.1 400 ") and b"text/plain" in data)
         if not self._refused:
             self._transport.write(data)
@@ -235,7 +235,7 @@ class _ProblemTransport:
 
 
 def _malformed() -> bytes:
-    """Return the whole answer to what is no HTTP."""
+    """Return the whole answer to bytes that are no HTTP."""
     refusal = problem_response(HTTPStatus.BAD_REQUEST, path="", detail=_NO_HTTP)
     lines = [b"%s: %s\r\n" % header for header in (*refusal.raw_headers, (b"connection", b"close"))]
     return b"HTTP/1.1 400 Bad Request\r\n" + b"".join(lines) + b"\r\n" + bytes(refusal.body)

@@ -1,4 +1,4 @@
-"""What all middlewares have in common: they look at HTTP requests alone."""
+"""Common part of all middlewares: they handle HTTP requests alone."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class HttpMiddleware(ABC):
     app: ASGIApp
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer an HTTP request; what is none (the server's start and end) is the application's."""
+        """Answer an HTTP request; other scopes (the server's start and end) are the application's."""
         await (self.answer if scope["type"] == "http" else self.app)(scope, receive, send)
 
     @abstractmethod

@@ -89,7 +89,7 @@ class BodyReader(HttpMiddleware):
 
 
 class _Progress:
-    """Whether a body comes steadily: in each stretch of `within_s`, so many bytes as the lowest rate makes.
+    """Progress of a body: in each stretch of `within_s`, so many bytes as the lowest rate makes.
 
     Attributes
     ----------

@@ -17,7 +17,7 @@ from sunarc.imager.web.problems import Fault, RefusedError, UnreadError
 
 
 class SharedQuota:
-    """Keeps the sum of what is held within a limit.
+    """Keeps the sum of the held memory within a limit.
 
     Where room is short, an address that holds less than another takes it from that one, whose oldest request is ended;
     an address that holds the most is refused instead. So nobody keeps others out by holding on.
@@ -65,7 +65,7 @@ class SharedQuota:
 
 @dataclass(eq=False)
 class QuotaUse:
-    """What one request holds.
+    """Memory that one request holds.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ _IPV6_PREFIX_BITS = 64  # whoever has one IPv6 address has 2^64
 
 
 class ClientAddressError(ValueError):
-    """What a proxy forwarded as the client is no address."""
+    """Error of a forwarded client that is no address."""
 
 
 def client_network(scope: Scope) -> str | None:

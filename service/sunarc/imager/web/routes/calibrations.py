@@ -1,4 +1,4 @@
-"""Routes: the calibration that answers, the history, what a person decides about it, and refits."""
+"""Routes: the calibration that answers, the history, decisions of a person about it, and refits."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def calibration_routes(context: ApiContext) -> APIRouter:
 
 
 def summary(record: CalibrationRecord) -> CalibrationSummary:
-    """Return what a list shows of a calibration."""
+    """Return the entry of a calibration in a list."""
     metrics, uncertainty = record.document.get("metrics", {}), record.document.get("uncertainty", {})
     return CalibrationSummary(
         **fields_of(record),
@@ -98,7 +98,7 @@ def summary(record: CalibrationRecord) -> CalibrationSummary:
 
 
 def tag_of(record: CalibrationRecord) -> str:
-    """Return what changes with a calibration's document."""
+    """Return a tag that changes with a calibration's document."""
     return hashlib.sha256(_text(record)).hexdigest()[:32]
 
 
@@ -123,7 +123,7 @@ def tagged(content: bytes, if_none_match: str | None) -> Response:
 
 
 def etag_of(content: bytes) -> str:
-    """Return the ETag of what this content is, or decides."""
+    """Return the ETag of this content, or of the values that decide it."""
     return f'"{hashlib.sha256(content).hexdigest()[:32]}"'
 
 
@@ -172,7 +172,7 @@ def _export(
 
 
 def matches(if_none_match: str | None, tag: str) -> bool:
-    """Return whether a client that sent this If-None-Match has what the tag names."""
+    """Return whether a client that sent this If-None-Match has the content that the tag names."""
     tags = {one.strip().removeprefix("W/") for one in (if_none_match or "").split(",")}
     return tag in tags or "*" in tags
 

@@ -77,7 +77,7 @@ class SunPlaces(BaseModel):
 
 
 class Each(BaseModel):
-    """What answered for each point, where each has a time."""
+    """Calibration that answered for each point, where each has a time."""
 
     calibration: list[str] = Field(
         description="Ids of the calibrations that answered.", examples=[["20130514T150508Z-52ee44"]]
@@ -87,7 +87,7 @@ class Each(BaseModel):
 
 
 class Places(BaseModel):
-    """Positions of clouds, or of their shadows. null where there is none."""
+    """Positions of clouds, or of their shadows. null without one."""
 
     east_m: Answers = Field(description="East of the camera, m.", examples=[[1204.1]])
     north_m: Answers = Field(description="North of the camera, m.", examples=[[-310.7]])
@@ -107,7 +107,7 @@ class Places(BaseModel):
 
 
 class PlaceDraws(BaseModel):
-    """Positions of clouds, or shadows, for each draw, the first axis; null where there is none."""
+    """Positions of clouds, or shadows, for each draw, the first axis; null without one."""
 
     east_m: list[Answers] = Field(description="(draws, n) metres.", examples=[[[1204.1], [1204.5]]])
     north_m: list[Answers] = Field(description="(draws, n) metres.", examples=[[[-310.7], [-310.2]]])
@@ -244,7 +244,7 @@ def _located_at(answering: bulk.Answering, exact: FloatArray, unix_s: float | Fl
 
 
 def _with_heights(points: FloatArray) -> FloatArray:
-    """Return points whose height is NaN where it is none of a cloud: an array's values are not refused one by one."""
+    """Return points whose height is NaN where it cannot be a cloud's: an array's values are not refused one by one."""
     valid = _are_heights(points[:, 2])
     if not np.all(valid):
         points = points.copy()

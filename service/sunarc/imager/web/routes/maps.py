@@ -1,4 +1,4 @@
-"""Routes: the map of what every pixel sees, the masks of sun and horizon, and maps for rectifying images."""
+"""Routes: the map of the directions of pixels, the masks of sun and horizon, and maps for rectifying images."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def _content(requested: _Map) -> ResponseBody:
 
 
 def _tag(requested: _Map) -> str:
-    """Return what changes with a map: its calibration, its masks, and what writes it."""
+    """Return a tag that changes with a map: its calibration, its masks, and its writer."""
     context, record = requested.context, requested.record
     path = context.options.obstruction_mask if record.camera == context.camera else None
     changed = path.stat().st_mtime_ns if path is not None and path.exists() else None
@@ -278,7 +278,7 @@ _PICTURE = _NOT_MADE | _of_grid(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _AskedTables:
-    """A grid: what of, how large, how high and how wide."""
+    """A grid: its kind, size, height and the camera's altitude."""
 
     grid: Grid
     size: int
@@ -294,7 +294,7 @@ class _AskedTables:
         return self.half_width_m or reach_m(self.height_m)
 
     def tag(self, *more: str) -> str:
-        """Return what changes with the grid and with what else is named."""
+        """Return a tag that changes with the grid and with the other named values."""
         text = json.dumps([sunarc.__version__, self.grid, self.size, self.height_m, self.half_width_m, *more])
         return etag_of(text.encode())
 
@@ -409,6 +409,6 @@ def _stated(context: ApiContext, record: CalibrationRecord, asked: _AskedTables)
 
 
 def _root_mean(name: str, squares: FloatArray) -> dict[str, str]:
-    """Return the header of a root mean square; none where the camera sees nothing of the grid."""
+    """Return the header of a root mean square; empty where the camera sees nothing of the grid."""
     finite = squares[np.isfinite(squares)]
     return {name: decimal(math.sqrt(float(np.mean(finite))))} if finite.size else {}

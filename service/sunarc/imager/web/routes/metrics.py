@@ -52,7 +52,7 @@ _COUNTS = tuple(field.name for field in fields(CaptureStatus) if isinstance(fiel
 
 
 class StatusCollector(Collector):
-    """Collects what an application serves.
+    """Collects the metrics of an application.
 
     Parameters
     ----------
@@ -260,11 +260,11 @@ _OF_NIGHT = {
     "n_accepted": "Images whose stars were named.",
     "n_matched": "Named stars in an accepted image, median.",
 }
-"""Numbers of a night that are metrics, and what they are."""
+"""Numbers of a night that are metrics, and their descriptions."""
 
 
 def _of_last_night(night: Night | None) -> Iterator[Metric]:
-    """Yield the numbers of the last night that was judged; none where no night was, or where one is not known."""
+    """Yield the known numbers of the last night that was judged; nothing without one."""
     evening = None if night is None else datetime.combine(night.date, time(), UTC).timestamp()
     yield _single("sunarc_night_seconds", "Date of the last night that was judged (its evening) as Unix time.", evening)
     for name, text in _OF_NIGHT.items():
@@ -276,7 +276,7 @@ _BOUNDS_S = (0.005, 0.02, 0.1, 0.5, 2.0, 10.0)
 
 
 class RequestCounts(Collector):
-    """How many requests were answered, with which status, and how fast; written on the event loop alone."""
+    """Counts of answered requests by status, and their durations; written on the event loop alone."""
 
     def __init__(self) -> None:
         self._by_status: Counter[str] = Counter()

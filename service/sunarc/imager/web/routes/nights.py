@@ -1,4 +1,4 @@
-"""Routes: what the nights were like, and the picture of each with what is named in it."""
+"""Routes: verdicts of the nights, and the picture of each with the names of its stars."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from sunarc.sky.days import day_bounds_unix_s
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NightWithPicture(Night):
-    """Verdict of a night; what is null is not known: no image of it was matched."""
+    """Verdict of a night; null is not known: no image of it was matched."""
 
     picture: Annotated[bool, described("Whether /v1/nights/{night}/image has a picture of it.", True)]
 
@@ -47,7 +47,7 @@ class NightBody(BaseModel):
 
 
 class NightBodies(BaseModel):
-    """What is in the picture of a night: stars to V 3.5, planets, the moon."""
+    """Bodies in the picture of a night: stars to V 3.5, planets, the moon."""
 
     time: Annotated[Time, Field(description="Middle of the exposure of the picture.")]
     calibration: str | None = Field(
@@ -58,7 +58,7 @@ class NightBodies(BaseModel):
 
 
 class NightPose(BaseModel):
-    """How the camera stands at night against the day, by the sightings of all nights of a calibration."""
+    """Pose of the camera at night against the day, by the sightings of all nights of a calibration."""
 
     calibration: str = Field(description="Id of the calibration.", examples=["20130514T150508Z"])
     n: int = Field(description="Sightings of nights that it used, a count.", examples=[150])

@@ -1,4 +1,4 @@
-"""Routes: what a page draws over an image, computed here so that it need not know any lens."""
+"""Routes: lines that a page draws over an image, computed here so that it need not know any lens."""
 
 from __future__ import annotations
 

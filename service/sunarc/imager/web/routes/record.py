@@ -51,7 +51,7 @@ def day_air_routes(context: ApiContext) -> APIRouter:
         responses=answers(400, 403, 404, 408, 413, 415, 422),
     )
     def set_day_air(request: Request, date: DayPath, air: DayAirIn) -> DayAirOut:
-        """Set the measured air of a solar day, replacing what was set before; both null remove it.
+        """Set the measured air of a solar day, replacing the stored one; both null remove it.
 
         The sun's position on that day is computed with it from now on, and the next refit uses it for the day's
         sightings, except for those that were imported with an air of their own.
@@ -222,7 +222,7 @@ Kind = NoticeKind | Literal["state", "worker", "frame"]  # what `event:` says
 
 MEDIA_TYPE = "text/event-stream"
 _POLL_S = 0.5
-"""Between two looks at archive and status: they cost microseconds where nothing was written."""
+"""Between two queries of archive and status: they cost microseconds where nothing was written."""
 _HEARTBEAT_S = 15.0
 """Between two signs of life where nothing happens: below the idle timeout of proxies (nginx: 60 s)."""
 _RETRY_MS = 3000
@@ -254,14 +254,14 @@ class StreamMessage(NamedTuple):
 
 
 class Position(NamedTuple):
-    """Up to where a client has heard: the newest event's number and the current calibration; an empty one is none."""
+    """Position of a client: the newest event's number and the current calibration; an empty one without them."""
 
     event: int
     calibration: str
 
     @classmethod
     def of(cls, text: str) -> Position:
-        """Return the position that an id names; InputError for what is none."""
+        """Return the position that an id names; InputError for another text."""
         found = _ID.fullmatch(text)
         if found is None:
             remedy = "send the id of a message of this stream, or leave it out"
@@ -275,7 +275,7 @@ class Position(NamedTuple):
 
 
 class Follower:
-    """What one client has heard, and what is new to it.
+    """Position of one client, and the events that are new to it.
 
     Parameters
     ----------
@@ -304,7 +304,7 @@ class Follower:
         return StreamMessage("state", data, self.position.text)
 
     def news(self) -> list[StreamMessage]:
-        """Return what happened since the last question, the oldest first."""
+        """Return the events since the last question, the oldest first."""
         revision = self._context.archive.revision()
         stored = list(self._stored()) if revision != self._revision or self._behind else []
         self._revision, self._behind = revision, False
@@ -327,7 +327,7 @@ class Follower:
 
 
 def _changes(before: StatusSnapshot, now: StatusSnapshot) -> Iterator[tuple[Kind, Mapping[str, Any]]]:
-    """Yield what two snapshots of the status differ in."""
+    """Yield the differences of two snapshots of the status."""
     yield from condition_changes(before.conditions, now.conditions)
     states = {worker.name: worker.state for worker in before.workers}
     for worker in now.workers:

@@ -34,12 +34,12 @@ _LARGE_BYTES = 1_000_000
 _SENT_AT_ONCE = 524_288
 _RANGE = re.compile(r"bytes=[ \t]*(\d{0,1000})-(\d{0,1000})", re.IGNORECASE)
 RANGED: Responses = {206: {"description": "The part that Range asks for."}}
-"""Description of what a route answers besides, whose answers are sent by range."""
+"""Description of a route whose answers are sent by range."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tagged:
-    """A request for what has a tag.
+    """A request for content that has a tag.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class Tagged:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResponseBody:
-    """What is sent: bytes of a media type, and headers that came with their making."""
+    """Body of a response: bytes of a media type, and headers that came with their making."""
 
     content: bytes
     media_type: str
@@ -80,7 +80,7 @@ class AnswerFiles:
         self._files: OrderedDict[str, _File] = OrderedDict()
 
     async def answer(self, asked: Tagged, slots: ComputeSlots, make: Callable[[], ResponseBody]) -> Response:
-        """Return what `make` returns, from a file; 304 where the client has it.
+        """Return the content that `make` returns, from a file; 304 where the client has it.
 
         Parameters
         ----------
@@ -123,7 +123,7 @@ class _File:
 
 
 def _stored(make: Callable[[], ResponseBody]) -> _File:
-    """Return what is made, in a file: where systemd says that caches are, else where temporary files are."""
+    """Return the made content, in a file: where systemd says that caches are, else where temporary files are."""
     made = make()
     folder = os.environ.get("CACHE_DIRECTORY", "").partition(":")[0] or None
     try:
@@ -194,7 +194,7 @@ def byte_range(text: str | None, size: int) -> range | None:
     Raises
     ------
     RefusedError
-        (416) It is none of these bytes.
+        (416) It is not within these bytes.
     """
     found = None if text is None else _RANGE.fullmatch(text.strip())
     first, last = found.groups() if found else ("", "")

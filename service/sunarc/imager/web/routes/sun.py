@@ -191,7 +191,7 @@ def _sun_points(context: ApiContext, found: Sequence[SunPoint], *, residuals: bo
 
 
 def _residuals(calibration: Calibration, context: ApiContext, points: Sequence[SunPoint]) -> list[Residual | None]:
-    """Return what each sighting differs by; None where it has no pixel, or the calibration none for the sun."""
+    """Return the residual of each sighting; None without a pixel, or where the calibration has no pixel for the sun."""
     unix_s = np.array([point.time.timestamp() for point in points])
     observed = np.array([(point.x_px, point.y_px) for point in points], dtype=np.float64).reshape(-1, 2)
     temperature, pressure = context.archive.days.air_of(context.camera, points)

@@ -64,7 +64,7 @@ _SITE_CODES = ("sun_seen_below_horizon", "sun_contradicts_site")
 _FIRST = 10
 _FIRST_WITHIN_S = 7200.0
 """The last sightings of a camera without a calibration, whose motion is compared with the stated site's sun: an evening
-and the next morning are none."""
+and the next morning do not count."""
 _FUTURE_EPOCH = "epoch_in_future"
 _RECOVERED_AFTER = 4
 """Consecutive sightings that agree again before a fault of the clock, the image or the site is cleared."""
@@ -125,7 +125,7 @@ class WatchWorker:
             self._sightings.put(self._observed(time, x_px, y_px, sigma_px))
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
-        """Work until stopped; what was seen before the start is remembered first."""
+        """Work until stopped; sightings from before the start are remembered first."""
         self.remember()
         for _ in turns(stop, heartbeat):
             self.process_next(timeout_s=_POLL_S)
@@ -204,7 +204,7 @@ class WatchWorker:
         return self.camera.archive.epochs.current(self.camera.name, at=self._latest())
 
     def _is_ahead(self) -> bool:
-        """Return whether the time went back behind what is remembered."""
+        """Return whether the time went back behind the remembered one."""
         return bool(len(self._watch)) and float(self._watch.unix_s[-1]) > self._latest().timestamp()
 
     def _is_of_another_epoch(self) -> bool:
@@ -332,7 +332,7 @@ class WatchWorker:
             self._watch = self._watch.since(change.time)
 
     def _is_turn_after_all(self, change: PoseChange | None) -> bool:
-        """Return whether what a few sightings showed as a step of an unwatched clock is a turn by many."""
+        """Return whether a step of an unwatched clock by a few sightings is a turn by many."""
         if change is None or self._fault is None or self.host_dates:
             return False
         agreeing = int(finding_of(change).data["agreeing"])
@@ -344,7 +344,7 @@ class WatchWorker:
             self._fault = None
 
     def _wait_for_recovery(self, sighting: Sighting) -> None:
-        """Leave out what comes in while the clock, the image or the site is wrong."""
+        """Leave out sightings while the clock, the image or the site is wrong."""
         fault = self._fault
         if fault is None:
             return
@@ -383,7 +383,7 @@ class WatchWorker:
             self.board.set_condition(code, reason if reason is not None and reason.code == code else None)
 
     def _current(self) -> Calibration | None:
-        """Return what is served, and show how its pose stands where that is another calibration than before."""
+        """Return the served calibration, and show its pose where it is another calibration than before."""
         record = self.camera.archive.calibrations.current(self.camera.name)
         model = self.camera.archive.calibrations.current_model(self.camera.name)
         before, self._shown = self._shown, None if record is None else record.id
@@ -524,7 +524,7 @@ class DayJudge:
     Parameters
     ----------
     camera : its archive and site.
-    cadence_s, sun_zenith_deg : how often, and down to where, the sun is looked at.
+    cadence_s, sun_zenith_deg : how often, and down to where, the sun is observed.
     now : frame time.
     request_refit : asks for a refit, with the reason.
     waiting : days of which sightings are still to come: they are judged later.
@@ -542,7 +542,7 @@ class DayJudge:
     _looks_back: bool = field(default=False, init=False)
 
     def judge_ended_days(self) -> list[Day]:
-        """Judge what is due and return the verdicts; one refit is asked for, however many days were clear."""
+        """Judge the due days and return the verdicts; one refit is asked for, however many days were clear."""
         longitude = self.camera.site.longitude
         today = solar_date(self.now().timestamp(), longitude=longitude)
         looks_back, self._looks_back = self._looks_back, False

@@ -1,6 +1,6 @@
 """The pose before a fit: from a lens prior file, or after the camera moved.
 
-The lens is that of an earlier calibration, or, where there is none, of its type as the settings' lens prior file says.
+The lens is that of an earlier calibration, or, without one, of its type as the settings' lens prior file has it.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ from sunarc.sources.files import read_file
 
 
 class FirstPose(NamedTuple):
-    """A type of lens, and what is known of the pose."""
+    """A type of lens, and the prior of the pose."""
 
     lens: LensType
     pose: FirstPoseOptions
 
     @classmethod
     def of(cls, options: LensPriorOptions) -> FirstPose | None:
-        """Return what the settings name; None where they name no lens prior file.
+        """Return the prior that the settings name; None where they name no lens prior file.
 
         Raises
         ------
         InputError
-            Where the file is none.
+            Where the file is invalid.
         """
         path = options.lens_prior
         return None if path is None else cls(read_lens_type(read_file(path), name=path.name), options)

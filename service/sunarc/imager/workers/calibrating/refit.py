@@ -87,7 +87,7 @@ class EpochSearch:
     _last_id: int = field(default=0, init=False)
 
     def due(self) -> solver_process.SolveProblem | None:
-        """Return what is to be searched; None where nothing is new."""
+        """Return the search that is due; None where nothing is new."""
         columns, record = self._near_new(), self.camera.archive.cameras.get(self.camera.name)
         if columns is None or record is None or float(np.ptp(columns.unix_s)) < DAY_S:
             return None
@@ -171,7 +171,7 @@ def since_lens(camera: CameraArchive, now: datetime) -> datetime | None:
 
 
 def _search(event: Event) -> _Search:
-    """Return what an event says of a search; details with a flipped bit are read as far as they make sense."""
+    """Return an event's record of a search; details with a flipped bit are read as far as they make sense."""
     last_id, divided = event.details.get("last_id"), event.details.get("divided")
     return _Search(
         event.time,
@@ -229,7 +229,7 @@ def next_task(
     circle: ImageCircle | None,
     now: datetime,
 ) -> RefitTask | Finding:
-    """Return what the record of a camera up to now asks for; or why there is nothing to solve."""
+    """Return the next task of a camera's record; or the reason why there is nothing to solve."""
     record, since = camera.archive.cameras.get(camera.name), since_lens(camera, now)
     read = camera.archive.sightings.candidates(camera.name, since=since, until=now)
     if record is None or read.ids.size == 0:
@@ -311,7 +311,7 @@ class RefitWorker:
     ----------
     camera : its archive and site.
     options, calibration : the limits, and how to fit.
-    cadence_s : how often the sun is looked at.
+    cadence_s : how often the sun is observed.
     clock : real time.
     now : frame time, which dates calibrations.
     board : where the lack of a calibration is shown.
@@ -380,7 +380,7 @@ class RefitWorker:
         self.board.set_condition("refit_waiting", reason if n else None)
 
     def carry_out(self, refit: Refit, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
-        """Solve, judge, keep, and serve what is better; leaves the refit unfinished when stopped half-way."""
+        """Solve, judge, keep, and serve a better fit; leaves the refit unfinished when stopped half-way."""
         self.camera.archive.refits.start(refit.id, started_at=self.now())
         child = solver_process.ChildControl(self.clock, self.options.time_limit_s, stop, heartbeat)
         self._search_epochs(child)
@@ -413,7 +413,7 @@ class RefitWorker:
         return None if numbers is None else ImageCircle(x=numbers[0], y=numbers[1], radius=numbers[2])
 
     def _search_epochs(self, child: solver_process.ChildControl) -> None:
-        """Open the pose epochs of sightings that no monitoring looked at."""
+        """Open the pose epochs of sightings that no monitoring has processed."""
         problem = self._epochs.due()
         if problem is None:
             return
@@ -634,7 +634,7 @@ class CalibrationIntegrityCheck:
         return reason
 
     def _unstated_tilt(self, current: CalibrationRecord | None) -> Reason | None:
-        """Return that the served camera is tilted by more than is stated, and what would state it."""
+        """Return that the served camera is tilted by more than is stated, and the setting that states it."""
         if current is None:
             return None
         try:

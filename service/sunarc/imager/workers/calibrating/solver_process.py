@@ -51,7 +51,7 @@ class SolverDiedError(SolveFailedError):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SolveProblem:
-    """What `sunarc.calibration.calibrate` or `find_pose_steps` is given.
+    """Arguments of `sunarc.calibration.calibrate` or `find_pose_steps`.
 
     `tilt_known` is for the former alone, `lens` for the latter.
     """
@@ -66,7 +66,7 @@ class SolveProblem:
 
 
 class ChildControl(NamedTuple):
-    """How a child process is waited for: real time, seconds at most, the stop that ends it, the caller's heartbeat."""
+    """Control of a child process: real time, seconds at most, the stop that ends it, the caller's heartbeat."""
 
     clock: Clock
     time_limit_s: float
@@ -113,7 +113,7 @@ def call_on(problem: SolveProblem, function: Callable[..., _Answer]) -> partial[
 
 
 def in_child(call: Callable[[], object], control: ChildControl) -> object:
-    """Return what a call returns in a fresh process; None when the stop was set before."""
+    """Return the result of a call in a fresh process; None when the stop was set before."""
     one_thread_each()  # read by the processes that are started
     context = multiprocessing.get_context("spawn")
     receiving, sending = context.Pipe()

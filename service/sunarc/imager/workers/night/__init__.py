@@ -1,1 +1,1 @@
-"""The night: its exposures, its stars, and what it was like."""
+"""The night: its exposures, its stars, and its verdict."""

@@ -1,4 +1,4 @@
-"""How long the exposures of the night are: those of the stars, and those of the moon."""
+"""Exposure times of the night: those of the stars, and those of the moon."""
 
 from __future__ import annotations
 
@@ -72,14 +72,14 @@ class NightExposures:
 
 
 class MoonCapture(NamedTuple):
-    """How the moon's exposures are chosen, and where the frames of each slot go."""
+    """Choice of the moon's exposures, and the receiver of the frames of each slot."""
 
     exposures: MoonExposures
     frames: DropOldestQueue[tuple[Frame, ...]]
 
 
 class NightCapture(NamedTuple):
-    """How the night's exposures are chosen, and where their frames go; `moon` likewise, in slots with a moon."""
+    """Choice of the night's exposures, and the receiver of their frames; `moon` likewise, in slots with a moon."""
 
     exposures: NightExposures
     frames: DropOldestQueue[Frame]
@@ -121,7 +121,7 @@ class MoonExposures:
         self._lock = threading.Lock()
 
     def next_us(self, time: datetime, bounds: ExposureBounds) -> tuple[float, ...]:
-        """Return the exposures of a slot, µs, the shortest first; none where the moon is low, thin or down."""
+        """Return the exposures of a slot, µs, the shortest first; empty where the moon is low, thin or down."""
         brightness = self.brightness(time)
         if brightness is None:
             return ()

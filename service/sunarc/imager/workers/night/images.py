@@ -40,7 +40,7 @@ from sunarc.stars.views import StarView
 _log = logging.getLogger(__name__)
 
 _DAMAGED = (ValueError, KeyError, IndexError, EOFError, OSError, zipfile.BadZipFile, zlib.error)
-"""What reading bytes raises that are not as they were written."""
+"""Errors of reading bytes that are not as they were written."""
 
 
 class FrameNote(NamedTuple):
@@ -53,13 +53,13 @@ class FrameNote(NamedTuple):
 
     @property
     def sensor(self) -> SensorFormat:
-        """What the frame's warm pixels are of."""
+        """Sensor format of the frame's warm pixels."""
         rows, columns = self.frame.image.shape[:2]
         return SensorFormat(rows, columns, self.frame.pixel_format, self.frame.binning, self.serial)
 
 
 class KeptStars(NamedTuple):
-    """What was measured of the stars in an image: detections, the halo about them, pixels that stand out."""
+    """Measurements of the stars in an image: detections, the halo about them, pixels that stand out."""
 
     note: FrameNote
     stars: Stars
@@ -266,7 +266,7 @@ def store_picture(
     calibration: str | None,
     image_size: tuple[int, int] | None,
 ) -> bool:
-    """Write the picture and its names beside the composites, and return whether they were written.
+    """Write the picture and its names into the folder of the composites, and return whether they were written.
 
     They are removed with those of their age.
     """
@@ -291,7 +291,7 @@ _LIST_VERSION = 1
 _MOST_PIXELS = 40_000
 """Pixels of a list: an image has 20,000 that stand out, and a list those that do so in 70 % of the images."""
 _MOST_LIST_BYTES = 1 << 20
-"""A list of 40,000 pixels of up to 10 digits takes half of it; a larger file is none of ours."""
+"""A list of 40,000 pixels of up to 10 digits takes half of it; a larger file is not ours."""
 
 
 @dataclass(eq=False)
@@ -335,7 +335,7 @@ class WarmPixelFile:
 
 
 def _parsed_list(content: bytes) -> tuple[SensorFormat, IntArray]:
-    """Return what a file says; ValueError where it is not as it was written."""
+    """Return the content of a file; ValueError where it is not as it was written."""
     document = json.loads(content)
     if not isinstance(document, dict) or document.get("version") != _LIST_VERSION:
         raise ValueError("not a list of this version")

@@ -34,7 +34,7 @@ _SEARCH_SIGMAS = 4.0
 
 
 class MoonNight(NamedTuple):
-    """What a night's images of the moon gave: the sightings, how many images there were, and why others gave none."""
+    """Result of a night's images of the moon: the sightings, how many images there were, and why others gave none."""
 
     points: tuple[SunPoint, ...]
     images: int
@@ -53,7 +53,7 @@ class _MoonImage:
 
 
 class _Measured(NamedTuple):
-    """An image, what was found in it (in the whole image's pixels), and by how much it is off its prediction, px."""
+    """An image, the moon in it (in the whole image's pixels), and by how much it is off its prediction, px."""
 
     image: _MoonImage
     found: Detection
@@ -80,7 +80,7 @@ class MoonImages:
     _images: list[_MoonImage] = field(default_factory=list, init=False)
 
     def add(self, frames: Sequence[Frame]) -> tuple[Frame, tuple[Cutout, ...]]:
-        """Keep what is bright in the longest exposure of a slot that is not clipped, and return both."""
+        """Keep the bright part of the longest exposure of a slot that is not clipped, and return both."""
         looked = [(frame, brightest_cutouts(frame.image, full_scale=frame.full_scale)) for frame in frames]
         near = self._near_prediction()
         levels = [(frame, cutouts, brightest_level(frame, near(frame, cutouts))) for frame, cutouts in looked]
@@ -103,7 +103,7 @@ class MoonImages:
         self._images = [*self._images, image][-_MOST_IMAGES:]
 
     def _near_prediction(self) -> Callable[[Frame, tuple[Cutout, ...]], tuple[Cutout, ...]]:
-        """Return what leaves the moon's cutout alone, where a calibration predicts it: a lamp may be brighter."""
+        """Return the image with the moon's cutout alone, where a calibration predicts it: a lamp may be brighter."""
         calibration = self.camera.archive.calibrations.current_model(self.camera.name)
 
         def near(frame: Frame, cutouts: tuple[Cutout, ...]) -> tuple[Cutout, ...]:
@@ -230,7 +230,7 @@ def brightest_level(frame: Frame, cutouts: Sequence[Cutout]) -> float:
     """Return the level of the brightest pixel of the brightest place over full scale; 0 without one.
 
     Behind a mosaic it is of the brightest colour, whose few pixels a moon of a few pixels may clip alone. Two pixels
-    beside each other that are stuck count for no more than what the third of their neighbourhood leaves them.
+    at each other's side that are stuck count for no more than the third of their neighbourhood leaves them.
     """
     if not cutouts:
         return 0.0

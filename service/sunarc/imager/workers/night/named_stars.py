@@ -1,4 +1,4 @@
-"""The named stars of a night: those that become sightings, their offset, and what they say of the sky."""
+"""The named stars of a night: those that become sightings, their offset, and their numbers of the sky."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def radial_offset(
 ) -> RadialOffset:
     """Return how far the stars lie outside of their predicted places, as a function of the radius.
 
-    The sun crosses every radius: what its calibration says of the radius counts, and of the stars only the rest. Where
+    The sun crosses every radius: its calibration's radius counts, and of the stars only the rest. Where
     the prediction is sure (near the sun's way) a star counts most. Without enough stars there is no offset.
 
     Parameters
@@ -129,7 +129,7 @@ class TakenImage(NamedTuple):
 
 
 class NightNumbers(NamedTuple):
-    """What the air took, how the night ended against how it began, and the stars' shape; NaN: not known.
+    """Extinction of the air, change from the beginning of the night to its end, and the stars' shape; NaN: not known.
 
     `bands` are by zenith angle, `images` of each image; None without one.
     """

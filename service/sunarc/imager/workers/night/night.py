@@ -124,7 +124,7 @@ def summary_of(views: Sequence[StarView], matched: Sequence[MatchedView]) -> Nig
 
 
 def decide_night(summary: NightSummary, *, moonlit_share: float) -> tuple[NightVerdict, tuple[Finding, ...]]:
-    """Return what a night was, and why.
+    """Return the verdict of a night, with its findings.
 
     Parameters
     ----------
@@ -356,7 +356,7 @@ class NightWorker:
         return night
 
     def _judge(self, heartbeat: Callable[[], None], *, again: bool) -> Night:
-        """Do what `finish` says with the present images; `again` where it was begun before a restart."""
+        """Do the work of `finish` with the present images; `again` where it was begun before a restart."""
         images, picture = self._images, self._picture
         frozen = (Finding("night_frozen", {"n": self._repeated}),) if self._repeated else ()
         calibration = self.camera.archive.calibrations.current_model(self.camera.name)
@@ -452,11 +452,11 @@ class NightWorker:
     def _keep(
         self, picture: NightPicture | None, taken: dict[datetime, TakenImage] | None, calibration: Calibration | None
     ) -> datetime | None:
-        """Write the picture of the night, with the names of what is in it where a calibration predicts that.
+        """Write the picture of the night, with the names of its bodies where a calibration predicts them.
 
         Returns
         -------
-        When it was taken; None where there is none.
+        When it was taken; None without a picture.
         """
         if self.store is None or picture is None:
             return None
