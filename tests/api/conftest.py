@@ -24,10 +24,12 @@ from sunarc.formats.calibration_document import to_document
 from sunarc.imager.archive.archive import Archive, open_archive
 from sunarc.imager.archive.database.schema import upgrade
 from sunarc.imager.archive.images import ImageStore
+from sunarc.imager.archive.move_pictures import MovePictures
 from sunarc.imager.archive.values import CameraRecord, Day, Event, Housekeeping, Refit, SunPoint
 from sunarc.imager.runtime.clock import VirtualClock
 from sunarc.imager.runtime.status import CameraStatus, ClockStatus, DiskStatus, StatusRegistry, WorkerStatus
 from sunarc.imager.web.app import create_app
+from sunarc.imager.web.context import PictureList
 from sunarc.imager.web.options import ApiOptions
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
@@ -179,6 +181,8 @@ def make(tmp_path: Path, archives: Path) -> Iterator[Make]:
         *,
         image: Path | None = None,
         images: ImageStore | None = None,
+        moves: MovePictures | None = None,
+        pictures: PictureList | None = None,
         token: bool = True,
         history: str = "empty",
         archive: Archive | None = None,
@@ -214,6 +218,8 @@ def make(tmp_path: Path, archives: Path) -> Iterator[Make]:
             images=images,
             timezone=timezone,
             is_replay=is_replay,
+            moves=moves,
+            pictures=pictures,
         )
         return Made(kept, board, app, Client(app), asked)
 

@@ -99,3 +99,9 @@ def test_every_failure_is_described_as_a_problem(made: Made) -> None:
                 if int(status) >= 400:
                     assert list(answer["content"]) == ["application/problem+json"], (path, status)
     assert "HTTPValidationError" not in json.dumps(document)
+
+
+def test_a_generated_client_is_not_called_like_ours(made: Made) -> None:
+    """Generators call the package after the title, and end it with "client"."""
+    title = made.app.openapi()["info"]["title"]
+    assert title.lower().replace(" ", "_") + "_client" not in {"sunarc_client", "sunarc"}

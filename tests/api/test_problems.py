@@ -180,3 +180,26 @@ def test_a_wrong_time_and_a_missing_height_have_a_remedy_to_type(
     (fault,) = check_shape(answer, 422, answer.request.url.path)["errors"]
     assert named in fault["remedy"]
     assert "openapi.json" not in fault["remedy"]
+
+
+@pytest.mark.parametrize(
+    ("at", "written"),
+    [
+        ("1368469800", "2013-05-13T18:30:00Z"),
+        ("1368469800.5", "2013-05-13T18:30:00Z"),
+        ("1368469800000", "2013-05-13T18:30:00Z"),
+        ("1764338700", "2025-11-28T14:05:00Z"),
+    ],
+)
+def test_a_unix_time_is_answered_with_the_same_time_to_type(made: Made, at: str, written: str) -> None:
+    (fault,) = check_shape(made.client.get(f"/v1/sun?at={at}"), 422, "/v1/sun")["errors"]
+    assert f"write it as {written} " in fault["remedy"]
+    body = {"pixels": [[871.0, 883.0]], "height_m": 1500.0, "at": [float(at)]}
+    (fault,) = check_shape(made.client.post("/v1/geolocate", json=body), 422, "/v1/geolocate")["errors"]
+    assert (fault["field"], f"write it as {written} " in fault["remedy"]) == ("at[0]", True)
+
+
+def test_a_compact_date_is_no_unix_time(made: Made) -> None:
+    for at in ("20130513", "201305131830"):
+        (fault,) = check_shape(made.client.get(f"/v1/sun?at={at}"), 422, "/v1/sun")["errors"]
+        assert "is not a time with its date" in fault["problem"]

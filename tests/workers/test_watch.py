@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from datetime import UTC, date, datetime
+from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -28,6 +29,7 @@ from sunarc.common.errors import OutsideError
 from sunarc.common.findings import from_json, uncoded
 from sunarc.formats.calibration_document import from_document, to_document
 from sunarc.imager.archive.archive import CameraArchive, open_archive
+from sunarc.imager.archive.move_pictures import MovePictures
 from sunarc.imager.archive.values import CameraRecord, DayAir, Event, SunPoint
 from sunarc.imager.runtime.status import StatusRegistry
 from sunarc.imager.workers.calibrating import monitor
@@ -241,6 +243,43 @@ def test_a_move_whose_epoch_is_closed_is_acknowledged_and_shown_no_longer(imager
     imager.archive.calibrations.close_epoch("roof-2", at=imager.now, reason="a bird")
     assert notes(imager) == {}
     assert [event.to_acknowledge for event in imager.events()] == [False]
+
+
+def test_the_pictures_before_and_after_a_move_are_kept(imager: Imager, tmp_path: Path) -> None:
+    shown = tmp_path / "newest.png"
+    imager.watch = replace_pictures(imager.watch, MovePictures(tmp_path / "moves"), shown)
+    show(shown, 40)
+    imager.see_many(TRUTH, range(-15, 0))
+    show(shown, 200)
+    imager.see_many(turned(TRUTH, (0.0, 2.5, 0.0)), range(12))
+    (event,) = imager.events()
+    pictures = imager.watch.pictures
+    assert pictures is not None
+    before, after = pictures.path(event, "before"), pictures.path(event, "after")
+    assert before is not None
+    assert after is not None
+    assert pictures.time(before) <= event.time <= pictures.time(after) <= event.time + timedelta(minutes=6)
+    levels = [int(np.mean(cv2.imread(str(path)))) for path in (before, after)]  # type: ignore[arg-type]
+    assert levels == [40, 200]
+    assert pictures.is_complete(event)
+
+
+def show(path: Path, level: int) -> None:
+    cv2.imwrite(str(path), np.full((60, 80, 3), level, np.uint8))
+
+
+def replace_pictures(watch: WatchWorker, pictures: MovePictures, newest: Path) -> WatchWorker:
+    """Return a watch that keeps pictures, of which one file is the newest."""
+    return replace(watch, pictures=pictures, newest_picture=lambda: newest)
+
+
+def test_a_disk_that_takes_no_picture_hinders_no_watch(imager: Imager, tmp_path: Path) -> None:
+    show(tmp_path / "newest.png", 40)
+    (tmp_path / "file").touch()
+    imager.watch = replace_pictures(imager.watch, MovePictures(tmp_path / "file" / "moves"), tmp_path / "newest.png")
+    imager.see_many(TRUTH, range(-15, 0))
+    imager.see_many(turned(TRUTH, (0.0, 2.5, 0.0)), range(12))
+    assert [event.kind for event in imager.events()] == ["bump"]
 
 
 def test_a_provisional_pose_grows_surer_and_a_full_fit_ends_it(imager: Imager, good: Calibration) -> None:

@@ -165,6 +165,7 @@ def create_hub_app(
         latest_image=lambda: None,
         options=options,
         images=None,
+        moves=None,
         stopping=stopping,
         token=None,
     )

@@ -20,7 +20,7 @@ from sunarc.imager.app.status_line import NO_FRAME_YET
 from sunarc.imager.archive.archive import Archive, CameraArchive
 from sunarc.imager.archive.database.recovery import Recovery
 from sunarc.imager.archive.database.store import Reserve
-from sunarc.imager.archive.images import ImageStore
+from sunarc.imager.archive.images import ImageStore, time_in_name
 from sunarc.imager.archive.move_pictures import MovePictures
 from sunarc.imager.archive.pictures_of_one_time import ELSEWHERE
 from sunarc.imager.archive.values import Refit
@@ -402,6 +402,16 @@ class Service:
         if self.snapshots is not None:
             return self.snapshots.newest_picture
         return self.images.newest(kind="hdr.jpg", until=self.frame_time.now())
+
+    def pictures(self, since: datetime | None, until: datetime | None, limit: int) -> list[tuple[datetime, Path]]:
+        """Return times and files of a source's own pictures with since <= time < until, the newest first."""
+        if self.folder is not None:
+            return self.folder.pictures(since=since, until=until, limit=limit)
+        newest = None if self.snapshots is None else self.snapshots.newest_picture
+        time = None if newest is None else time_in_name(newest)
+        if newest is None or time is None or (since and time < since) or (until and time >= until):
+            return []
+        return [(time, newest)]
 
     def open_and_remember(self) -> SkyCamera:
         """Open the camera and store its record; a disk that refuses does not keep it from its work."""

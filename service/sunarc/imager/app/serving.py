@@ -200,6 +200,8 @@ def _web_server(service: Service, *, on_started: Callable[[], None]) -> Server:
         images=service.images,
         timezone=service.settings.site.timezone,
         is_replay=service.settings.is_replay,
+        moves=service.move_pictures,
+        pictures=service.pictures,
         stopping=lambda: server.should_exit,
     )
     server = new_server(app, options, on_started=on_started, heartbeat=Heartbeat(service.clock.monotonic))

@@ -41,6 +41,8 @@ from sunarc.imager.archive.values import CalibrationRecord, CalibrationState, Ev
 
 _log = logging.getLogger(__name__)
 _MOST_PARSED = 8
+PROVISIONAL = "-pose"
+"""Part of the id of a pose that was estimated before a fit."""
 _FIELDS = ("id", "camera", "method", "pose_epoch")
 
 
@@ -98,10 +100,36 @@ class CalibrationStore(Part):
             if any(not one.damaged for one in pinned):
                 return with_interval(record)
             start = at or record.valid_from
+            self._report_changed_past(connection, record, start)
             end_others(connection, record.camera, start)
             activated = replace(record, state="current", valid_from=start, valid_until=None)
             set_columns(connection, calibration_id, state="current", valid_from=start, valid_until=None)
         return with_interval(activated)
+
+    def _report_changed_past(self, connection: Connection, record: CalibrationRecord, start: datetime) -> None:
+        """Store an event where another pose has answered for times after `start`, until this one was made.
+
+        A provisional pose that replaces one of the same epoch, with more sightings, is not reported, nor is a fit that
+        replaces one of the same epoch: that is an operator's decision, with an event of its own.
+        """
+        c = calibration.c
+        answered = (c.valid_from < record.created_at, or_(c.valid_until.is_(None), c.valid_until > start))
+        before = [
+            one
+            for one in self._records(connection, c.camera == record.camera, c.state.in_(SERVED), *answered)
+            if one.pose_epoch != record.pose_epoch or (PROVISIONAL in one.id and PROVISIONAL not in record.id)
+        ]
+        if not before or start >= record.created_at:
+            return
+        since = max(start, min(one.valid_from for one in before))
+        data = {
+            "calibration": record.id,
+            "before": ", ".join(one.id for one in before),
+            "since": rfc3339(since, timespec="seconds"),
+            "until": rfc3339(record.created_at, timespec="seconds"),
+        }
+        found = Finding("past_answers_changed", data)
+        store_decision(connection, found, at=record.created_at, camera=record.camera)
 
     def answer_between(self, calibration_id: str, *, since: datetime, until: datetime) -> CalibrationRecord:
         """Make a candidate valid for past times, `since` <= t < `until`, in place of the valid ones.
@@ -250,11 +278,17 @@ class CalibrationStore(Part):
         *,
         state: CalibrationState | None = None,
         until: datetime | None = None,
+        provisional: bool = True,
         limit: int | None = None,
     ) -> tuple[CalibrationRecord, ...]:
-        """Return a camera's calibrations made before `until`, the newest first."""
+        """Return a camera's calibrations made before `until`, the newest first.
+
+        Without `provisional`, poses before a fit are left out but for the current one.
+        """
         c = calibration.c
         filters = given((c.camera.__eq__, camera), (c.state.__eq__, state), (c.created_at.__lt__, until))
+        if not provisional:
+            filters = [*filters, or_(c.state == "current", not_(c.id.contains(PROVISIONAL)))]
         with self._database.reading() as connection:
             return tuple(with_interval(record) for record in self._records(connection, *filters, limit=limit))
 

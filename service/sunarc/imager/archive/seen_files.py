@@ -8,7 +8,7 @@ from datetime import datetime
 
 from sqlalchemy import delete, func, or_, select
 
-from sunarc.imager.archive.database.store import Part, upsert, values_of
+from sunarc.imager.archive.database.store import Part, given, upsert, values_of
 from sunarc.imager.archive.database.tables import seen_file
 from sunarc.imager.archive.values import fields_of
 
@@ -53,6 +53,14 @@ class SeenFileStore(Part):
         dated = select(seen_file).where(c.camera == camera, c.time.is_not(None)).order_by(c.time.desc()).limit(limit)
         with self._database.reading() as connection:
             return values_of(connection, dated, SeenFile)
+
+    def used(self, camera: str, *, since: datetime | None, until: datetime | None, limit: int) -> tuple[SeenFile, ...]:
+        """Return the files that were looked at with since <= time < until of their image, the newest first."""
+        c = seen_file.c
+        filters = given((c.time.__ge__, since), (c.time.__lt__, until))
+        dated = select(seen_file).where(c.camera == camera, c.time.is_not(None), c.code.is_(None), *filters)
+        with self._database.reading() as connection:
+            return values_of(connection, dated.order_by(c.time.desc(), c.file).limit(limit), SeenFile)
 
     def at(self, camera: str, time: datetime) -> tuple[SeenFile, ...]:
         """Return the files with an image of a moment, by name."""

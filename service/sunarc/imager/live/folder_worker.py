@@ -247,6 +247,15 @@ class FolderWorker:
         path = self._root / name_path(self._newest[0])
         return path if is_regular(path) else None
 
+    def pictures(self, *, since: datetime | None, until: datetime | None, limit: int) -> list[tuple[datetime, Path]]:
+        """Return times and files of at most so many used pictures with since <= time < until, the newest first.
+
+        Those that a browser does not show, and those that are gone, are left out.
+        """
+        seen = self.camera.archive.seen_files.used(self.camera.name, since=since, until=until, limit=limit)
+        found = [(one.time, self._root / name_path(one.file)) for one in seen if one.time is not None]
+        return [(time, path) for time, path in found if path.suffix.lower() in _SHOWN and is_regular(path)]
+
     @property
     def waiting_days(self) -> set[date]:
         """The solar days of which files wait, or came late a moment ago: they are judged afterwards."""

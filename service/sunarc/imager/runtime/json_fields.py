@@ -50,6 +50,8 @@ class Returned:
     )
 
 
+_UNIX = re.compile(r"[1-9]\d{8,9}(\.\d+)?|(?P<ms>[1-9]\d{12})", re.ASCII)
+"""Seconds since 1970, from 1973 to 2286, or milliseconds."""
 _PLUS_LOST = re.compile(r"[Tt][0-9:.]+ [0-9]{2}:?[0-9]{2}$")
 """A time whose offset's + was read as a space, as in the query of a URL."""
 
@@ -57,7 +59,14 @@ _PLUS_LOST = re.compile(r"[Tt][0-9:.]+ [0-9]{2}:?[0-9]{2}$")
 def _written_in_full(value: object) -> object:
     if isinstance(value, str) and _PLUS_LOST.search(value):
         raise ValueError("has a space before its offset; in a URL write + as %2B, or give the time in UTC with a Z")
-    if isinstance(value, str) and "T" not in value.upper():
+    number = str(value) if isinstance(value, int | float) else value
+    if isinstance(number, str) and (unix := _UNIX.fullmatch(number)):
+        unix_s = float(number) / (1000.0 if unix["ms"] else 1.0)
+        written = f"{datetime.fromtimestamp(unix_s, UTC):%Y-%m-%dT%H:%M:%SZ}"
+        raise ValueError(
+            f"is a Unix time; write it as {written} (date -u -d @{unix_s:.0f} +%FT%TZ converts unix seconds)"
+        )
+    if isinstance(number, str) and "T" not in number.upper():
         raise ValueError(
             "is not a time with its date; write it as 2013-05-13T18:30:00Z (date -u -d @1368469800 +%FT%TZ converts "
             "unix seconds)"

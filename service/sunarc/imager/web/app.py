@@ -22,12 +22,13 @@ from sunarc.calibration.answers.direction_table import lookup
 from sunarc.calibration.answers.error_model import draw_ensemble
 from sunarc.imager.archive.archive import Archive
 from sunarc.imager.archive.images import ImageStore
+from sunarc.imager.archive.move_pictures import MovePictures
 from sunarc.imager.archive.values import Refit
 from sunarc.imager.runtime.status import StatusSnapshot
 from sunarc.imager.web import problems
 from sunarc.imager.web.arrays import MOST_BYTES_AHEAD
 from sunarc.imager.web.bulk import ComputeSlots
-from sunarc.imager.web.context import CAMERA_PREFIX, ApiContext, DaySites, SingleFlightCache
+from sunarc.imager.web.context import CAMERA_PREFIX, ApiContext, DaySites, DecidedHeader, PictureList, SingleFlightCache
 from sunarc.imager.web.middleware import admission
 from sunarc.imager.web.middleware.request_bodies import BodyReader, Boundary, HeadRequests
 from sunarc.imager.web.middleware.shared_quota import SharedQuota
@@ -42,10 +43,10 @@ from sunarc.imager.web.routes.metrics import CountRequests, RequestCounts, Statu
 from sunarc.imager.web.routes.nights import night_routes
 from sunarc.imager.web.routes.overlay import overlay_routes
 from sunarc.imager.web.routes.record import (
-    acknowledgement_routes,
     day_air_routes,
     event_stream_routes,
     housekeeping_routes,
+    move_routes,
     record_routes,
 )
 from sunarc.imager.web.routes.stored_answers import AnswerFiles
@@ -139,6 +140,7 @@ _ENSEMBLES = 4
 _MOST_STREAMS = 64
 """Streams of events that are open at once: each queries the archive's revision twice a second."""
 STATIC = FilePath(__file__).parent / "static"
+_OUR_HEADERS = ("sunarc-calibration", "sunarc-columns", "sunarc-decided-at")
 _WORTH_COMPRESSING_BYTES = 1400  # less fits into one packet as it is
 _COMPRESSION_LEVEL = 4  # of JSON's numbers, higher ones make little more than work
 _COMPRESSED_ALREADY = (
@@ -160,6 +162,8 @@ def create_app(
     images: ImageStore | None = None,
     timezone: str = "UTC",
     is_replay: bool = False,
+    moves: MovePictures | None = None,
+    pictures: PictureList | None = None,
     stopping: Callable[[], bool] = lambda: False,
 ) -> FastAPI:
     """Return an application that serves one camera's archive.
@@ -175,6 +179,8 @@ def create_app(
     images : the composites; None without them.
     timezone : IANA name of the zone whose local times are shown with those in UTC.
     is_replay : whether the frames' clock is that of a replay or of a simulation.
+    moves : the pictures before and after moves; None where there are none.
+    pictures : lists the pictures of a source that are not among `images`; None where there are none.
     stopping : returns whether the service is about to stop: streams of events end then.
     """
     context = new_context(
@@ -189,12 +195,14 @@ def create_app(
         images=images,
         timezone=timezone,
         is_replay=is_replay,
+        moves=moves,
+        pictures=pictures,
         stopping=stopping,
         token=admission.read_token(options.token_file, setting="api.token_file"),
     )
     numbers = CollectorRegistry()
     numbers.register(StatusCollector(context))
-    app = new_application("sunarc")
+    app = new_application("sunarc imager")
     add_camera_routes(app, context)
     app.include_router(camera_list_routes(context))
     app.include_router(health_routes(context, numbers))
@@ -258,6 +266,7 @@ def count_requests(app: FastAPI, numbers: CollectorRegistry) -> None:
 def _add_guards(app: FastAPI, context: ApiContext, faults: problems.FaultLog) -> None:
     """Put the guards of every request before the application, the innermost first."""
     options = context.options
+    app.add_middleware(DecidedHeader)
     app.add_middleware(
         GZipMiddleware,
         minimum_size=_WORTH_COMPRESSING_BYTES,
@@ -283,7 +292,7 @@ def _add_guards(app: FastAPI, context: ApiContext, faults: problems.FaultLog) ->
             allow_origins=list(options.cors_origins),
             allow_methods=["GET", "POST", "PUT"],
             allow_headers=["authorization", "content-type", "if-none-match"],
-            expose_headers=["etag", "location", "retry-after", "sunarc-calibration", "sunarc-columns"],
+            expose_headers=["etag", "location", "retry-after", *_OUR_HEADERS],
         )
     app.add_middleware(admission.AllowedHosts, names=admission.host_names(options))
     app.add_middleware(problems.FaultGuard, faults=faults)
@@ -310,7 +319,7 @@ def add_camera_routes(app: FastAPI, context: ApiContext) -> None:
         remap_routes(context, files),
         mask_routes(context, files),
         day_air_routes(context),
-        acknowledgement_routes(context),
+        move_routes(context),
         refit_routes(context),
     ):
         app.include_router(of_camera, prefix=CAMERA_PREFIX)

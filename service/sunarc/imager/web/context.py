@@ -5,23 +5,28 @@ from __future__ import annotations
 import math
 import threading
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, MutableMapping
 from dataclasses import dataclass, field, replace
 from datetime import date, datetime
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from starlette.convertors import Convertor, register_url_convertor
+from starlette.datastructures import MutableHeaders
 from starlette.requests import Request
+from starlette.types import Message, Receive, Scope, Send
 
 from sunarc.calibration.answers.direction_table import Lookup
 from sunarc.calibration.answers.error_model import Ensemble
 from sunarc.calibration.model.result import Calibration
 from sunarc.common.errors import InputError, NotFoundError
+from sunarc.common.utc import rfc3339
 from sunarc.imager.archive.archive import Archive
 from sunarc.imager.archive.images import ImageStore
+from sunarc.imager.archive.move_pictures import MovePictures
 from sunarc.imager.archive.values import CalibrationRecord, Refit
 from sunarc.imager.runtime.status import StatusSnapshot
+from sunarc.imager.web.middleware.http_only import HttpMiddleware
 from sunarc.imager.web.options import ApiOptions
 from sunarc.imager.web.problems import NoCalibrationError
 from sunarc.sky.days import solar_date
@@ -33,6 +38,10 @@ CALIBRATION, BEST = "calibration", "best"
 CAMERA_PREFIX = "/v1{camera:of_camera}"
 """Prefix of the routes of one camera: `/v1`, or `/v1/cameras/NAME`."""
 
+DECIDED_AT = "sunarc.decided_at"
+"""Key of a request's scope: when the calibration was made that answers for the moment that is asked for."""
+PictureList = Callable[[datetime | None, datetime | None, int], list[tuple[datetime, Path]]]
+"""Returns times and files of at most so many pictures with since <= time < until, the newest first."""
 Input = TypeVar("Input")
 Value = TypeVar("Value")
 
@@ -99,6 +108,22 @@ class Sampling:
         return f"{self.calibration}/{self.seed}/{self.draws}"
 
 
+@dataclass(eq=False)
+class DecidedHeader(HttpMiddleware):
+    """Adds `Sunarc-Decided-At` to an answer: when the calibration was made by which a request's `at` is answered."""
+
+    async def answer(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on."""
+
+        async def decided(message: Message) -> None:
+            time = scope.get(DECIDED_AT)
+            if message["type"] == "http.response.start" and isinstance(time, datetime):
+                MutableHeaders(scope=message)["sunarc-decided-at"] = rfc3339(time)
+            await send(message)
+
+        await self.app(scope, receive, decided)
+
+
 class DaySites:
     """Cameras' sites in the measured air of a day, as last read; read again after anything was written to the archive.
 
@@ -127,6 +152,7 @@ class ApiContext:
 
     `timezone` and `is_replay` are for displays: the zone of local times, and whether the frames' clock is a replay's.
     `chosen` is the calibration that a request asks to be answered with: an id, or "best"; None for the one of the time.
+    `scope` is that of a request for another time than now: what answers it is noted there (`DecidedHeader`).
     """
 
     archive: Archive
@@ -137,15 +163,18 @@ class ApiContext:
     frame_clock: Callable[[], datetime]
     latest_image: Callable[[], Path | None]
     images: ImageStore | None
+    moves: MovePictures | None
     options: ApiOptions
     token: bytes | None = field(repr=False)
     sites: DaySites
     ready: SingleFlightCache[CalibrationRecord, Lookup]
     ensembles: SingleFlightCache[Sampling, Ensemble]
     stopping: Callable[[], bool] = lambda: False
+    pictures: PictureList | None = None
     chosen: str | None = None
     timezone: str = "UTC"
     is_replay: bool = False
+    scope: MutableMapping[str, Any] | None = field(default=None, repr=False)
 
     def of(self, request: Request) -> ApiContext:
         """Return the serving state of the camera in a request's path, by the calibration that its query names.
@@ -156,9 +185,10 @@ class ApiContext:
         if name == self.camera == "":
             remedy = "name one: /v1/cameras/{camera}/…, see /v1/cameras"
             raise NotFoundError(field="camera", problem="a hub has no camera of its own", remedy=remedy)
-        selected = self.named(name)
-        chosen = request.query_params.get(CALIBRATION)
-        return selected if chosen is None else replace(selected, chosen=chosen)
+        selected, asked = self.named(name), request.query_params
+        if not asked.keys() & {CALIBRATION, "at"}:
+            return selected
+        return replace(selected, chosen=asked.get(CALIBRATION), scope=request.scope if "at" in asked else None)
 
     def answering(self, request: Request, at: datetime | None) -> tuple[ApiContext, CalibrationRecord]:
         """Return the serving state as `of` does, and its calibration that answers now, or for the moment `at`."""
@@ -175,7 +205,14 @@ class ApiContext:
         if record is None:
             raise NotFoundError(field="camera", problem=f"there is no camera {name}", remedy="see /v1/cameras")
         return replace(
-            self, camera=name, site=record.site, latest_image=lambda: None, images=None, request_refit=refuse_refit
+            self,
+            camera=name,
+            site=record.site,
+            latest_image=lambda: None,
+            images=None,
+            moves=None,
+            pictures=None,
+            request_refit=refuse_refit,
         )
 
     def site_with_air_at(self, time: datetime) -> Site:
@@ -215,8 +252,12 @@ class ApiContext:
     def record_or_none(self, at: datetime | None) -> CalibrationRecord | None:
         """Return the calibration that answers; None without one."""
         if self.chosen is None:
-            return self.archive.calibrations.current(self.camera, at=at)
-        return self._best(at) if self.chosen == BEST else self._accepted(self.chosen)
+            record = self.archive.calibrations.current(self.camera, at=at)
+        else:
+            record = self._best(at) if self.chosen == BEST else self._accepted(self.chosen)
+        if record is not None and self.scope is not None:
+            self.scope.setdefault(DECIDED_AT, record.created_at)
+        return record
 
     def _accepted(self, calibration_id: str) -> CalibrationRecord:
         """Return a calibration that may answer: none that its verdict refused."""

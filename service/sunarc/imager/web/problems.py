@@ -97,6 +97,7 @@ _PROBLEMS = {
     "json_invalid": "is not JSON",
     "model_attributes_type": "is not a JSON object",
     "model_type": "is not a JSON object",
+    "timezone_aware": "has no zone",
 }
 _REMEDIES: dict[str, str] = {
     "missing": "add it",

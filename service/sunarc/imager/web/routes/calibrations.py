@@ -63,15 +63,19 @@ def calibration_routes(context: ApiContext) -> APIRouter:
 
     @routes.get("/calibrations", responses=answers(422))
     def calibrations(
+        *,
         request: Request,
         state: Annotated[CalibrationState | None, Query(description="Of the calibrations to return.")] = None,
+        provisional: Annotated[
+            bool, Query(description="Also poses that were estimated before a fit and have been replaced.")
+        ] = False,
         limit: Annotated[int, row_limit(1000)] = 100,
         cursor: Cursor = None,
     ) -> Calibrations:
         """Return the history, the newest first, refused candidates with their reasons."""
         selected, page = context.of(request), page_at(cursor, limit)
         found = selected.archive.calibrations.find(
-            selected.camera, state=state, until=page.until(None), limit=page.rows
+            selected.camera, state=state, until=page.until(None), provisional=provisional, limit=page.rows
         )
         rows, next_ = page.cut(found, request, time=lambda record: record.created_at)
         return Calibrations(calibrations=[summary(record) for record in rows], next=next_)

@@ -1,11 +1,12 @@
-"""Routes: the composites that are kept, as 16 bit PNG, JPEG preview or thumbnail."""
+"""Routes: the images that are kept: composites as 16 bit PNG, JPEG preview or thumbnail, pictures of other sources."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import datetime, timedelta
 from http import HTTPStatus
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 import cv2
 import numpy as np
@@ -16,37 +17,40 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 
 from sunarc.common.errors import NotFoundError, OutsideError
-from sunarc.common.foreign_files import read_regular
+from sunarc.common.foreign_files import open_regular, read_regular
 from sunarc.common.utc import rfc3339
 from sunarc.imager.runtime.json_fields import Time
 from sunarc.imager.web.context import ApiContext
 from sunarc.imager.web.parameters import AnsweringId, Cursor, IfNoneMatch, Next, Since, Until, page_at, row_limit
 from sunarc.imager.web.problems import Fault, RefusedError, answers, described_answer
-from sunarc.imager.web.routes.calibrations import decimal, matches
+from sunarc.imager.web.routes.calibrations import decimal, etag_of, matches
 from sunarc.imager.web.routes.stored_answers import RANGED, byte_range
 from sunarc.imaging.metadata import document_of
 from sunarc.imaging.preview import decoded
 
+Kind = Literal["png", "jpeg"]
+
 
 class Composite(BaseModel):
-    """One cycle's composite."""
+    """One image: a cycle's composite, or a picture of another source."""
 
     time: Annotated[Time, Field(description="Of its first exposure; names it in /v1/images/{time}.")]
     calibration: AnsweringId
-    bytes: int = Field(description="Size of the 16 bit PNG, bytes.", examples=[5_200_000])
+    format: Annotated[Kind, Field(description="`png` of a composite: 16 bit, linear in counts.")]
+    bytes: int = Field(description="Size of the file of this format, bytes.", examples=[5_200_000])
 
 
 class Images(BaseModel):
-    """Composites, the newest first."""
+    """Images, the newest first."""
 
     images: list[Composite] = Field(description="The page.")
     next: Next
 
 
-Kind = Literal["png", "jpeg"]
-
 _FILES: dict[Kind, str] = {"png": "hdr.png", "jpeg": "hdr.jpg"}
 _MEDIA_TYPES: dict[Kind, str] = {"png": "image/png", "jpeg": "image/jpeg"}
+_BEGINNINGS = (b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n")
+"""First bytes of JPEG and PNG."""
 _IMMUTABLE = "private, max-age=31536000, immutable"
 """An image never changes under its time; it may hold people, so no shared cache keeps it."""
 _WIDTHS = (16, 4096)
@@ -83,11 +87,9 @@ def image_routes(context: ApiContext) -> APIRouter:
         limit: Annotated[int, row_limit(1000)] = 100,
         cursor: Cursor = None,
     ) -> Images:
-        """Return the composites with since <= time < until, the newest first."""
+        """Return the images of the source with since <= time < until, the newest first."""
         selected, page = context.of(request), page_at(cursor, limit)
-        found: list[tuple[datetime, Path]] = []
-        if selected.images is not None:
-            found = selected.images.between(kind=_FILES["png"], since=since, until=page.until(until), limit=page.rows)
+        found = _between(selected, since, page.until(until), page.rows)
         rows, next_ = page.cut(found, request, time=lambda row: row[0])
         return Images(images=[_composite(selected, *row) for row in rows], next=next_)
 
@@ -102,14 +104,17 @@ def image_routes(context: ApiContext) -> APIRouter:
         width: ThumbnailWidth = None,
         if_none_match: IfNoneMatch = None,
     ) -> Response:
-        """Return a composite: whole, or the range that is asked for."""
-        kind = format_ or ("jpeg" if width else _accepted(request.headers.get("accept")))
+        """Return an image: whole, or the range that is asked for."""
+        kinds = (format_,) if format_ else ("jpeg",) if width else _accepted(request.headers.get("accept"))
         selected = context.of(request)
-        path = composite_file(selected, time, kind if width is None else "jpeg")
-        tag = f'"{path.stem}-{kind}-{width or 0}"'
+        path = image_file(selected, time, kinds if width is None else ("jpeg", "png"))
+        kind = kinds[0] if width else _kind_of(path)
+        tag = etag_of(f"{path}-{kind}-{width or 0}".encode(errors="surrogateescape"))
         headers = _headers(selected, time, path) | {"etag": tag, "cache-control": _IMMUTABLE}
         if matches(if_none_match, tag):
             return Response(status_code=HTTPStatus.NOT_MODIFIED, headers=headers)
+        if width is None and not _is_ours(selected, path):
+            return Response(picture_content(path), media_type=_MEDIA_TYPES[kind], headers=headers)
         if width is None:
             if byte_range(request.headers.get("range"), path.stat().st_size) is None:
                 request.scope["headers"] = [one for one in request.scope["headers"] if one[0] != b"range"]
@@ -119,35 +124,60 @@ def image_routes(context: ApiContext) -> APIRouter:
     return routes
 
 
+def _between(
+    context: ApiContext, since: datetime | None, until: datetime | None, limit: int
+) -> list[tuple[datetime, Path]]:
+    """Return times and files of the images with since <= time < until, the newest first; of a composite its PNG."""
+    found = {} if context.pictures is None else dict(context.pictures(since, until, limit))
+    if context.images is not None:
+        for kind in ("jpeg", "png"):
+            found |= dict(context.images.between(kind=_FILES[kind], since=since, until=until, limit=limit))
+    return sorted(found.items(), reverse=True)[:limit]
+
+
+def _kind_of(path: Path) -> Kind:
+    return "png" if path.suffix.lower() == ".png" else "jpeg"
+
+
 def _composite(context: ApiContext, time: datetime, path: Path) -> Composite:
     answering = context.record_or_none(time)
     try:
         size = path.stat().st_size
     except OSError:  # removed meanwhile, to make room
         size = 0
-    return Composite(time=time, calibration=None if answering is None else answering.id, bytes=size)
+    calibration = None if answering is None else answering.id
+    return Composite(time=time, calibration=calibration, format=_kind_of(path), bytes=size)
 
 
-def _accepted(accept: str | None) -> Kind:
-    """Return the kind that a client accepts, PNG first."""
+def _accepted(accept: str | None) -> tuple[Kind, ...]:
+    """Return the kinds that a client accepts, PNG first."""
     accepted = [part.partition(";")[0].strip().lower() for part in (accept or "*/*").split(",")]
-    for kind in ("png", "jpeg"):
-        if any(one in ("*/*", "image/*", _MEDIA_TYPES[kind]) for one in accepted):
-            return kind
+    kinds = get_args(Kind)
+    found = tuple(kind for kind in kinds if any(one in ("*/*", "image/*", _MEDIA_TYPES[kind]) for one in accepted))
+    if found:
+        return found
     fault = Fault(
         field="accept", problem=f"{accept!r} names no format of images", remedy="accept image/png or image/jpeg"
     )
     raise RefusedError(HTTPStatus.NOT_ACCEPTABLE, fault)
 
 
-def composite_file(context: ApiContext, time: datetime, kind: Kind) -> Path:
-    """Return the file of a composite, whose name has the time to the millisecond."""
+def image_file(context: ApiContext, time: datetime, kinds: Sequence[Kind] = ("jpeg", "png")) -> Path:
+    """Return the file of an image of the first kind that there is; its time is known to the millisecond."""
+    begin = time.replace(microsecond=time.microsecond // 1000 * 1000)
+    end = begin + _RESOLUTION
     if context.images is not None:
-        begin = time.replace(microsecond=time.microsecond // 1000 * 1000)
-        rows = context.images.between(kind=_FILES[kind], since=begin, until=begin + _RESOLUTION, limit=1)
-        if rows:
-            return rows[0][1]
-    raise NotFoundError(field="time", problem=f"no {kind} of {rfc3339(time)}", remedy="see /v1/images for what is kept")
+        for kind in kinds:
+            rows = context.images.between(kind=_FILES[kind], since=begin, until=end, limit=1)
+            if rows:
+                return rows[0][1]
+    for _, path in () if context.pictures is None else context.pictures(begin, end, 1):
+        if _kind_of(path) in kinds:
+            return path
+    wanted = " or ".join(kinds)
+    raise NotFoundError(
+        field="time", problem=f"no {wanted} of {rfc3339(time)}", remedy="see /v1/images for what is kept"
+    )
 
 
 def decoded_preview(path: Path) -> NDArray[np.uint8]:
@@ -167,7 +197,7 @@ def _headers(context: ApiContext, time: datetime, path: Path) -> dict[str, str]:
     if answering is not None:
         headers["sunarc-calibration"] = answering.id
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             document = document_of(file.read(_HEAD_BYTES)) or {}
     except OSError as error:
         raise OutsideError(f"the image {path.name} cannot be read: {error.strerror}") from error
@@ -179,12 +209,33 @@ def _headers(context: ApiContext, time: datetime, path: Path) -> dict[str, str]:
     )
 
 
+def _is_ours(context: ApiContext, path: Path) -> bool:
+    """Return whether a file is the service's own: a name in another's folder may be a link to anywhere."""
+    return context.images is not None and path.is_relative_to(context.images.folder)
+
+
+def picture_content(path: Path) -> bytes:
+    """Return the content of a file that another program has written, where it is a picture and nothing else."""
+    try:
+        content = read_regular(path)
+    except OSError as error:
+        raise OutsideError(f"the image {path.name} cannot be read: {error.strerror}") from error
+    if not content.startswith(_BEGINNINGS):
+        raise OutsideError(f"the image {path.name} is no JPEG or PNG any more")
+    return content
+
+
+def shrunk(picture: NDArray[np.uint8], width: int) -> NDArray[np.uint8]:
+    """Return a picture (rows, columns, 3) of at most a width in px."""
+    height, whole = picture.shape[:2]
+    if width >= whole:
+        return picture
+    size = (width, max(1, round(height * width / whole)))
+    return cv2.resize(picture, size, interpolation=cv2.INTER_AREA).astype(np.uint8)
+
+
 def thumbnail(path: Path, width: int, kind: Kind) -> bytes:
     """Return a preview of at most a width in px, 8 bits, as a file of a kind."""
-    picture = decoded_preview(path)
-    height, whole = picture.shape[:2]
-    if width < whole:
-        size = (width, max(1, round(height * width / whole)))
-        picture = cv2.resize(picture, size, interpolation=cv2.INTER_AREA).astype(np.uint8)
+    picture = shrunk(decoded_preview(path), width)
     quality = [cv2.IMWRITE_JPEG_QUALITY, _QUALITY] if kind == "jpeg" else []
     return bytes(cv2.imencode(f".{kind}", picture, quality)[1].tobytes())

@@ -34,7 +34,7 @@ from sunarc.imager.web.context import ApiContext
 from sunarc.imager.web.parameters import BY_CALIBRATION, At, IfNoneMatch
 from sunarc.imager.web.problems import answers, described_answer
 from sunarc.imager.web.routes.calibrations import decimal, etag_of
-from sunarc.imager.web.routes.images import Captured, composite_file, decoded_preview
+from sunarc.imager.web.routes.images import Captured, decoded_preview, image_file
 from sunarc.imager.web.routes.stored_answers import RANGED, AnswerFiles, ResponseBody, Tagged
 from sunarc.imaging.preview import decoded
 from sunarc.optics.camera import Camera
@@ -343,7 +343,7 @@ def remap_routes(context: ApiContext, files: AnswerFiles) -> APIRouter:
         """Return a composite's preview on a grid, north at the top, east at the right, by its time's calibration."""
         asked = _AskedTables(grid=grid, size=size, height_m=height, half_width_m=half_width)
         selected, record = await run_in_threadpool(context.answering, request, time)
-        path = await run_in_threadpool(composite_file, selected, time, "jpeg")
+        path = await run_in_threadpool(image_file, selected, time)
         tagged = _tagged(request, if_none_match, asked.tag(record.id, path.stem))
         content = partial(_picture, selected, record, asked, path)
         stated = partial(_stated, selected, record, asked)

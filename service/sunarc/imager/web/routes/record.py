@@ -1,4 +1,4 @@
-"""Routes: days and their measured air, events and their stream, disk space and temperature."""
+"""Routes: days and their measured air, events with their pictures and their stream, disk space and temperature."""
 
 from __future__ import annotations
 
@@ -9,15 +9,18 @@ from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
 from datetime import timedelta
 from typing import Annotated, Any, Literal, NamedTuple
 
+import cv2
+import numpy as np
 from fastapi import APIRouter, Depends, Header, Path, Query, Request
 from fastapi.responses import Response, StreamingResponse
+from numpy.typing import NDArray
 from pydantic import BaseModel
 from starlette.concurrency import run_in_threadpool
 
-from sunarc.common.errors import InputError, NotFoundError, OutsideError
-from sunarc.common.foreign_files import read_regular
-from sunarc.common.utc import rfc3339
+from sunarc.common.errors import InputError, NotFoundError
+from sunarc.common.utc import MICROSECOND, rfc3339
 from sunarc.imager.archive.images import time_in_name
+from sunarc.imager.archive.move_pictures import Side
 from sunarc.imager.archive.notices import NoticeKind, condition_changes, stored_changes
 from sunarc.imager.archive.values import Day, DayAir, Event, EventSeverity, Housekeeping, HousekeepingStep, fields_of
 from sunarc.imager.runtime.json_fields import SolarDate, described
@@ -28,8 +31,11 @@ from sunarc.imager.web.middleware.request_bodies import asked_by_head
 from sunarc.imager.web.parameters import Cursor, IfNoneMatch, Since, Until, page_at, row_limit
 from sunarc.imager.web.problems import answers, described_answer
 from sunarc.imager.web.routes.calibrations import matches
-from sunarc.imager.web.routes.images import ThumbnailWidth, thumbnail
+from sunarc.imager.web.routes.images import ThumbnailWidth, decoded_preview, picture_content, shrunk, thumbnail
 from sunarc.imager.web.schemas import Acknowledgement, DayAirIn, DayAirOut, Days, DayWithAir, Events
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
+from sunarc.sky.directions import direction_from_angles
 
 DayPath = Annotated[SolarDate, Path(description="Local mean solar date.", examples=["2013-05-13"])]
 
@@ -136,13 +142,27 @@ def record_routes(context: ApiContext) -> APIRouter:
     return routes
 
 
+_QUALITY = 85
+_LINE = (30, 90, 255)
+"""Colour of the horizon: orange, as blue, green, red."""
+_AROUND_DEG = np.arange(0.0, 361.0)
+_PICTURE = described_answer(
+    "The picture.",
+    ["image/jpeg"],
+    headers={
+        "Sunarc-Time": "Of the picture, RFC 3339, UTC.",
+        "Sunarc-Calibration": "Id of the calibration by which the horizon is drawn.",
+    },
+    same="The picture is the one",
+)
+
 EventId = Annotated[
     int, Path(ge=1, le=2**63 - 1, description="Number of an event, as /v1/events has it.", examples=[17])
 ]
 
 
-def acknowledgement_routes(context: ApiContext) -> APIRouter:
-    """Return the route that acknowledges an event."""
+def move_routes(context: ApiContext) -> APIRouter:
+    """Return the routes."""
     routes = APIRouter(tags=["record"])
 
     @routes.post(
@@ -156,7 +176,55 @@ def acknowledgement_routes(context: ApiContext) -> APIRouter:
         reason = (decision or Acknowledgement()).reason
         return selected.archive.events.acknowledge(selected.camera, event_id, at=selected.frame_clock(), reason=reason)
 
+    @routes.get("/events/{event_id}/pictures/{side}", response_class=Response, responses=_PICTURE | answers(404, 422))
+    def picture(
+        *,
+        request: Request,
+        event_id: EventId,
+        side: Annotated[Side, Path(description="Of the move.")],
+        horizon: Annotated[bool, Query(description="Draw the horizon by the calibration of then.")] = False,
+        width: ThumbnailWidth = None,
+        if_none_match: IfNoneMatch = None,
+    ) -> Response:
+        """Return the picture before or after a move of the camera."""
+        selected = context.of(request)
+        event = selected.archive.events.get(selected.camera, event_id)
+        path = None if selected.moves is None else selected.moves.path(event, side)
+        if selected.moves is None or path is None:
+            problem = f"no picture {side} event {event_id} was kept"
+            raise NotFoundError(field="side", problem=problem, remedy="see /v1/images for the images that are kept")
+        record = None
+        if horizon:
+            record = selected.record_or_none(event.time - MICROSECOND if side == "before" else event.time)
+        calibration = "" if record is None else record.id
+        headers = {
+            "sunarc-time": rfc3339(selected.moves.time(path)),
+            "etag": f'"{path.stem}-{width or 0}-{calibration}"',
+            "cache-control": "no-cache",
+        }
+        if calibration:
+            headers["sunarc-calibration"] = calibration
+        if matches(if_none_match, headers["etag"]):
+            return Response(status_code=304, headers=headers)
+        pixels = decoded_preview(path)
+        if width is not None:
+            pixels = shrunk(pixels, width)
+        if record is not None:
+            draw_horizon(pixels, selected.archive.calibrations.model(record.id).camera)
+        encoded = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1]
+        return Response(encoded.tobytes(), media_type="image/jpeg", headers=headers)
+
     return routes
+
+
+def draw_horizon(pixels: NDArray[np.uint8], camera: Camera) -> None:
+    """Draw the line of 90 degrees of apparent zenith angle into a picture (rows, columns, 3) of the camera's image."""
+    directions = direction_from_angles(zenith_deg=np.full_like(_AROUND_DEG, 90.0), azimuth_deg=_AROUND_DEG)
+    scale = pixels.shape[1] / camera.width
+    points = (project(camera, directions) + 0.5) * scale - 0.5
+    ends = np.stack([points[:-1], points[1:]], axis=1)  # a part that lies outside the field is left out
+    lines = np.round(ends[np.isfinite(ends).all(axis=(1, 2))]).astype(np.int32)
+    cv2.polylines(pixels, list(lines), isClosed=False, color=_LINE, thickness=max(1, round(pixels.shape[1] / 500)))
 
 
 def days_out(context: ApiContext, days: Sequence[Day]) -> list[DayWithAir]:
@@ -180,13 +248,9 @@ def _image(context: ApiContext, if_none_match: str | None, width: int | None) ->
         headers["sunarc-time"] = rfc3339(taken_at)
     if matches(if_none_match, headers["etag"]):
         return Response(status_code=304, headers=headers)
-    try:
-        content = read_regular(path)
-    except OSError as error:
-        raise OutsideError(f"the image {path.name} cannot be read: {error.strerror}") from error
     if width is not None:
         return Response(thumbnail(path, width, "jpeg"), media_type="image/jpeg", headers=headers)
-    return Response(content, media_type=_MEDIA_TYPES[path.suffix], headers=headers)
+    return Response(picture_content(path), media_type=_MEDIA_TYPES[path.suffix], headers=headers)
 
 
 class HousekeepingRows(BaseModel):

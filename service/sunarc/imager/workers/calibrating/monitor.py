@@ -109,7 +109,9 @@ class WatchWorker:
         self._first: deque[Sighting] = deque(maxlen=_FIRST)
         self._fault: PoseChange | None = None
         self._agreeing = 0
-        self._moves = MoveConditions(self.camera, self.board)
+        self._moves = MoveConditions(
+            self.camera, self.board, pictures=self.pictures, newest_picture=self.newest_picture
+        )
 
     def notice(
         self,
@@ -164,25 +166,9 @@ class WatchWorker:
         if sighting is not None:
             self._process_safely(sighting)
         self._moves.follow()
-        if sighting is not None and self.pictures is not None:
-            self._keep_pictures(self.pictures, utc_time(sighting.unix_s))
+        if sighting is not None:
+            self._moves.keep_pictures(utc_time(sighting.unix_s))
         return sighting is not None
-
-    def _keep_pictures(self, pictures: MovePictures, at: datetime) -> None:
-        """Copy the newest picture now and then, and keep those before and after the moves that wait."""
-        incomplete = [event for event in self._moves.waiting if not pictures.is_complete(event)]
-        try:
-            if not incomplete and not pictures.is_due(at):
-                return
-            newest = self.newest_picture()
-            if newest is None:
-                return
-            for event in incomplete:
-                pictures.keep(event, newest, sighted_at=at)
-            if pictures.is_due(at):
-                pictures.remember(newest, sighted_at=at)
-        except (OSError, OutsideError) as error:
-            _log.warning("could not keep a picture: %s", error)
 
     def _begin_anew_if_outdated(self) -> None:
         try:

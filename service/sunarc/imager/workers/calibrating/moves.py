@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import KW_ONLY, dataclass
 from datetime import datetime
+from pathlib import Path
 
 from sunarc.common.errors import InputError, OutsideError
 from sunarc.common.findings import Finding
 from sunarc.imager.archive.archive import CameraArchive
+from sunarc.imager.archive.move_pictures import MovePictures
 from sunarc.imager.archive.values import CAMERA_CHANGES, Event
 from sunarc.imager.runtime.status import Reason, StatusRegistry
 from sunarc.imager.workers.calibrating.provisional_pose import is_provisional
@@ -31,6 +33,8 @@ class MoveConditions:
     ----------
     camera : its archive.
     board : where they are set, as notes: the health is that of the other conditions.
+    pictures : keeps those before and after a move; None keeps none.
+    newest_picture : returns the newest picture's file, None without one.
 
     Attributes
     ----------
@@ -39,6 +43,9 @@ class MoveConditions:
 
     camera: CameraArchive
     board: StatusRegistry
+    _: KW_ONLY
+    pictures: MovePictures | None = None
+    newest_picture: Callable[[], Path | None] = lambda: None
 
     def __post_init__(self) -> None:
         """Begin without a look."""
@@ -54,6 +61,28 @@ class MoveConditions:
                 self._revision = revision
         except OutsideError as error:
             _log.warning("could not look for moves of the camera: %s", error)
+
+    def keep_pictures(self, at: datetime) -> None:
+        """Copy the newest picture now and then, and keep those before and after the moves that wait.
+
+        Parameters
+        ----------
+        at : time of the last sighting.
+        """
+        if self.pictures is None:
+            return
+        try:
+            incomplete = [event for event in self.waiting if not self.pictures.is_complete(event)]
+            is_due = self.pictures.is_due(at)
+            newest = self.newest_picture() if incomplete or is_due else None
+            if newest is None:
+                return
+            for event in incomplete:
+                self.pictures.keep(event, newest, sighted_at=at)
+            if is_due:
+                self.pictures.remember(newest, sighted_at=at)
+        except (OSError, OutsideError) as error:
+            _log.warning("could not keep a picture: %s", error)
 
     def _set(self, alarms: Iterable[Event]) -> None:
         last: dict[str, Event] = {}

@@ -23,6 +23,7 @@ from sunarc.common.errors import InputError
 from sunarc.formats.calibration_document import to_document
 from sunarc.formats.lens_prior import read_lens_type
 from sunarc.imager.archive.archive import CameraArchive
+from sunarc.imager.archive.calibrations import PROVISIONAL
 from sunarc.imager.archive.sightings import LENS_CHANGED
 from sunarc.imager.archive.values import CalibrationRecord, PoseEpoch
 from sunarc.imager.workers.calibrating.solver_process import points_of
@@ -185,7 +186,7 @@ class ProvisionalPoseEstimator:
         now = self.now()
         return to_document(
             with_clock(posed, self.clock_error_s),
-            id=f"{now.astimezone(UTC):%Y%m%dT%H%M%SZ}-pose{count}",
+            id=f"{now.astimezone(UTC):%Y%m%dT%H%M%SZ}{PROVISIONAL}{count}",
             camera=self.camera.name,
             state="candidate",
             created_at=now,
