@@ -28,9 +28,9 @@ from sunarc.imager.runtime.status import StatusSnapshot
 from sunarc.imager.web import problems
 from sunarc.imager.web.arrays import MOST_BYTES_AHEAD
 from sunarc.imager.web.bulk import ComputeSlots
-from sunarc.imager.web.context import CAMERA_PREFIX, ApiContext, DaySites, DecidedHeader, PictureList, SingleFlightCache
+from sunarc.imager.web.context import CAMERA_PREFIX, ApiContext, DaySites, PictureList, SingleFlightCache
 from sunarc.imager.web.middleware import admission
-from sunarc.imager.web.middleware.request_bodies import BodyReader, Boundary, HeadRequests
+from sunarc.imager.web.middleware.request_bodies import BodyReader, Boundary, DecidedHeader, HeadRequests
 from sunarc.imager.web.middleware.shared_quota import SharedQuota
 from sunarc.imager.web.options import ApiOptions
 from sunarc.imager.web.routes.calibrations import calibration_routes, decision_routes, refit_routes

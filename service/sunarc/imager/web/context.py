@@ -12,21 +12,17 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from starlette.convertors import Convertor, register_url_convertor
-from starlette.datastructures import MutableHeaders
 from starlette.requests import Request
-from starlette.types import Message, Receive, Scope, Send
 
 from sunarc.calibration.answers.direction_table import Lookup
 from sunarc.calibration.answers.error_model import Ensemble
 from sunarc.calibration.model.result import Calibration
 from sunarc.common.errors import InputError, NotFoundError
-from sunarc.common.utc import rfc3339
 from sunarc.imager.archive.archive import Archive
 from sunarc.imager.archive.images import ImageStore
 from sunarc.imager.archive.move_pictures import MovePictures
 from sunarc.imager.archive.values import CalibrationRecord, Refit
 from sunarc.imager.runtime.status import StatusSnapshot
-from sunarc.imager.web.middleware.http_only import HttpMiddleware
 from sunarc.imager.web.options import ApiOptions
 from sunarc.imager.web.problems import NoCalibrationError
 from sunarc.sky.days import solar_date
@@ -106,22 +102,6 @@ class Sampling:
     def key(self) -> str:
         """Return the key of the ensemble."""
         return f"{self.calibration}/{self.seed}/{self.draws}"
-
-
-@dataclass(eq=False)
-class DecidedHeader(HttpMiddleware):
-    """Adds `Sunarc-Decided-At` to an answer: when the calibration was made by which a request's `at` is answered."""
-
-    async def answer(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on."""
-
-        async def decided(message: Message) -> None:
-            time = scope.get(DECIDED_AT)
-            if message["type"] == "http.response.start" and isinstance(time, datetime):
-                MutableHeaders(scope=message)["sunarc-decided-at"] = rfc3339(time)
-            await send(message)
-
-        await self.app(scope, receive, decided)
 
 
 class DaySites:

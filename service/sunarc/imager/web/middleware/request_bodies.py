@@ -1,16 +1,19 @@
-"""Bodies of requests (size, rate, memory), answers to HEAD, and the security headers of every answer."""
+"""Bodies of requests (size, rate, memory), answers to HEAD, and headers of every answer: security, time of decision."""
 
 from __future__ import annotations
 
 import asyncio
 import re
 from dataclasses import dataclass
+from datetime import datetime
 from functools import partial
 from http import HTTPStatus
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import Message, Receive, Scope, Send
 
+from sunarc.common.utc import rfc3339
+from sunarc.imager.web.context import DECIDED_AT
 from sunarc.imager.web.middleware.http_only import HttpMiddleware
 from sunarc.imager.web.middleware.shared_quota import QuotaUse, SharedQuota, answer_held, client_network
 from sunarc.imager.web.options import MIN_RATE_BYTES_PER_S
@@ -226,3 +229,19 @@ class HeadRequests(HttpMiddleware):
             await send({**message, "body": b""} if message["type"] == "http.response.body" else message)
 
         await self.app({**scope, "method": "GET", _BY_HEAD: True}, receive, without_body)
+
+
+@dataclass(eq=False)
+class DecidedHeader(HttpMiddleware):
+    """Adds `Sunarc-Decided-At` to an answer: when the calibration was made by which a request's `at` is answered."""
+
+    async def answer(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on."""
+
+        async def decided(message: Message) -> None:
+            time = scope.get(DECIDED_AT)
+            if message["type"] == "http.response.start" and isinstance(time, datetime):
+                MutableHeaders(scope=message)["sunarc-decided-at"] = rfc3339(time)
+            await send(message)
+
+        await self.app(scope, receive, decided)
