@@ -104,3 +104,21 @@ def test_an_unknown_choice_is_one_line_and_exit_2(sunarc: Sunarc, tmp_path: Path
     answer = sunarc("detect", str(tmp_path / "x.png"), option, value)
     assert answer.code == 2
     assert f"{value!r} is unknown" in answer.err
+
+
+def test_the_last_line_is_the_cause_that_took_most_images_and_no_word_is_cut(
+    sunarc: Sunarc, scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    good = tmp_path / "noon.png"
+    cv2.imwrite(str(good), scene.render(round(NOON.timestamp() * 1e6), exposure_us=20.0, full_scale=65535))
+    dark = [tmp_path / f"night{number}.png" for number in range(2)]
+    for path in dark:
+        cv2.imwrite(str(path), np.zeros((200, 300), dtype=np.uint8))
+    found = json.loads(sunarc("detect", str(dark[0]), "--json").out)
+    answer = sunarc("detect", str(good), *map(str, dark))
+    assert answer.code == 0
+    assert found[0]["findings"][0]["code"]
+    assert [found[0]["reason"] in line for line in answer.out.splitlines()[-3:]] == [True, True, True]
+    assert answer.out.splitlines()[-1].startswith("1 of 3 images used, 2 refused: ")
+    assert sunarc("detect", str(good), str(good), str(dark[0])).out.splitlines()[-1] == "2 of 3 images used"

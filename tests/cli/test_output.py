@@ -9,7 +9,7 @@ from io import StringIO
 import pytest
 from rich.console import Console
 
-from sunarc.cli.options import parse_image_size, progress_bars, table
+from sunarc.cli.options import parse_image_size, print_sentence, progress_bars, table
 from sunarc.common.errors import InputError
 from sunarc.imager.runtime.clock import SystemClock
 
@@ -39,6 +39,23 @@ def test_a_narrow_terminal_cuts_no_cell() -> None:
 def test_a_long_name_leaves_room_for_the_other_columns() -> None:
     row: list[object] = ["/srv/images/2013/05/14/" + 80 * "x" + ".png", "clear", "a", "b", 0.25]
     assert "clear" in shown(row, width=80)
+
+
+def test_a_sentence_is_broken_between_words_on_a_terminal_and_whole_in_a_pipe(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Terminal(StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    monkeypatch.setenv("COLUMNS", "80")
+    path = "/srv/images/" + 90 * "x" + ".png"
+    text = f"left out {path}: " + "its well-known name is read as 2013-06-05T12:30:00; give --time-pattern " * 3
+    terminal, pipe = Terminal(), StringIO()
+    print_sentence(text, file=terminal)
+    print_sentence(text, file=pipe)
+    lines = terminal.getvalue().splitlines()
+    assert max(len(line) for line in lines if path not in line) <= 80
+    assert " ".join(terminal.getvalue().split()) == text.strip()
+    assert pipe.getvalue() == text + "\n"
 
 
 def test_nothing_and_numbers() -> None:

@@ -105,6 +105,23 @@ def test_a_source_without_an_image_that_can_be_used_exits_1_beside_an_accepted_c
         assert answer.code == expected
 
 
+def test_folders_of_days_are_one_camera(sunarc: Sunarc, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    names = [f"2013-05-{day}" for day in (13, 14, 15)]
+    days = [folder_of({"183000.png": encoded(GREY, ".png")}, tmp_path / "roof" / name) for name in names]
+    seen = list[Indexed]()
+
+    def note(indexed: Indexed, *_: object, **__: object) -> Summary:
+        seen.append(indexed)
+        return Summary(report={"cameras": [], "failures": {}, "seconds": 0.0}, documents={})
+
+    monkeypatch.setattr(command, "reanalyse", note)
+    asked = ("--utc-offset", "0", "--time-pattern", "%Y-%m-%d/%H%M%S", "-o", str(tmp_path / "out"), "--yes")
+    answer = sunarc("reanalyse", *map(str, days), *SITE, *asked)
+    ((camera,),) = (one.cameras for one in seen)
+    assert (camera.plan.name, len(camera.images)) == ("roof", 3)
+    assert "3 sources" in answer.err
+
+
 def test_a_pattern_is_for_one_camera_or_for_all(
     sunarc: Sunarc, images: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

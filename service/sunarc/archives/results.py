@@ -23,7 +23,7 @@ from sunarc.archives.states import Epoch
 from sunarc.common.array_types import FloatArray
 from sunarc.common.errors import InputError, disk_errors
 from sunarc.common.extras import extra_module, is_installed
-from sunarc.common.findings import Finding
+from sunarc.common.findings import Finding, headline_of
 from sunarc.common.foreign_files import is_regular, read_regular
 from sunarc.common.json_text import json_text
 from sunarc.common.utc import DAY_S, rfc3339, utc_time
@@ -179,7 +179,10 @@ def write_results(
         "cameras": [_camera(one, documents) for one in results],
         "refused": [_refusal(one) for one in indexed.refused],
         "failures": dict(Counter(row[1] for row in _failures(results, indexed)).most_common()),
-        "headline": headline_of(_left_out(results, indexed), used=sum(len(one.looked.points()[1]) for one in results)),
+        "headline": headline_of(
+            [one.finding for one in _left_out(results, indexed)],
+            used=sum(len(one.looked.points()[1]) for one in results),
+        ),
         "exports_missing": missing,
     }
     return Summary(report=report, documents=documents)
@@ -329,20 +332,6 @@ def _sigmas(result: CameraResult, offsets: Sequence[float]) -> FloatArray:
 
 def _failures(results: Sequence[CameraResult], indexed: Indexed) -> list[tuple[str, str, str]]:
     return sorted((one.file, one.finding.code, one.finding.text) for one in _left_out(results, indexed))
-
-
-def headline_of(failures: Sequence[Failure], *, used: int) -> Document | None:
-    """Return the cause that took most files, where it took more than were used: its code, its number and its sentence.
-
-    Parameters
-    ----------
-    failures : files that were left out.
-    used : images that a sun was found in.
-    """
-    for code, n in Counter(one.finding.code for one in failures).most_common(1):
-        example = next(one.finding for one in failures if one.finding.code == code)
-        return {"code": code, "n": n, "reason": example.sentence} if n > used else None
-    return None
 
 
 def _left_out(results: Sequence[CameraResult], indexed: Indexed) -> list[Failure]:

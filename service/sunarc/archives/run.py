@@ -22,10 +22,10 @@ from sunarc.archives.ledger import Ledger
 from sunarc.archives.nights import NightsLooked, name_stars, nights_of, star_points
 from sunarc.archives.passes import Looked, Passes, epoch_at, predictions, without_lifted
 from sunarc.archives.report import write_report
-from sunarc.archives.results import CameraResult, Horizon, Summary, headline_of, learn_horizon, write_results
+from sunarc.archives.results import CameraResult, Horizon, Summary, learn_horizon, write_results
 from sunarc.archives.states import ArchiveCamera
 from sunarc.common.errors import InputError, disk_errors
-from sunarc.common.findings import Finding
+from sunarc.common.findings import Finding, headline_of
 from sunarc.imager.archive.database.state_folder import lock_state
 from sunarc.imager.runtime.clock import Clock
 from sunarc.sources.index import CameraImages, Indexed, ReportProgress
@@ -80,7 +80,7 @@ def reanalyse(
     OutsideError : the folder cannot be written or another run writes into it, or no worker answers.
     """
     if not indexed.cameras:
-        cause = headline_of(indexed.failures or indexed.refused, used=0)
+        cause = headline_of([one.finding for one in indexed.failures or indexed.refused], used=0)
         why = "" if cause is None else f"; {cause['n']} left out: {cause['reason']} [{cause['code']}]"
         raise InputError(field="SOURCE", problem=f"has no image to look at{why}", remedy="see above")
     began = clock.monotonic()

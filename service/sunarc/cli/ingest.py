@@ -10,7 +10,6 @@ import typer
 from sunarc.archives.ingest import IngestOptions, ingest_folder
 from sunarc.archives.ingest_summary import IngestSummary
 from sunarc.archives.pool import usable_processors
-from sunarc.archives.results import headline_of
 from sunarc.cli.calibrate import calibrate_stored, stated_level
 from sunarc.cli.database import note_running_service
 from sunarc.cli.options import (
@@ -22,12 +21,14 @@ from sunarc.cli.options import (
     TimePatternOption,
     choice_of,
     print_json,
+    print_sentence,
     print_table,
     progress_bars,
     service_settings,
 )
 from sunarc.cli.owner import act_as_owner_of
 from sunarc.common.errors import InputError
+from sunarc.common.findings import headline_of
 from sunarc.common.messages import counted
 from sunarc.sources.detect_files import METHODS
 from sunarc.sources.image_times import TimeRules, utc_offset_of
@@ -117,7 +118,7 @@ def _next_command(summary: IngestSummary, config: Path | None) -> str:
 def _print_summary(summary: IngestSummary) -> None:
     record = summary.as_json()
     for row in record["files_skipped"][:_LISTED]:
-        print(f"skipped {row['file']}: {row['reason']}")
+        print_sentence(f"skipped {row['file']}: {row['reason']}")
     if len(record["files_skipped"]) > _LISTED:
         print(f"… and {len(record['files_skipped']) - _LISTED} more (--json lists them)")
     rows = [[verdict, str(n)] for verdict, n in summary.by_verdict.items()]
@@ -139,6 +140,6 @@ def _print_summary(summary: IngestSummary) -> None:
         print(f"camera: {finding.sentence}")
     if summary.contact_sheet is not None:
         print(f"examples of each verdict: {summary.contact_sheet}")
-    headline = headline_of(summary.skipped, used=sum(summary.by_verdict.values()))
+    headline = headline_of([one.finding for one in summary.skipped], used=sum(summary.by_verdict.values()))
     if headline is not None:
-        print(f"{counted(headline['n'], 'file')} skipped: {headline['reason']}")
+        print_sentence(f"{counted(headline['n'], 'file')} skipped: {headline['reason']}")

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
+import textwrap
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TextIO, TypeVar
 
 import typer
 
@@ -205,6 +207,17 @@ def print_table(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
     Console(soft_wrap=True).print(table(columns, rows))
 
 
+def print_sentence(text: str, *, file: TextIO | None = None) -> None:
+    """Print a line; on a terminal it is broken between words, names of files stay whole."""
+    out = file or sys.stdout
+    if not out.isatty():
+        print(text, file=out)
+        return
+    width = shutil.get_terminal_size().columns
+    print(textwrap.fill(text, width, subsequent_indent="  ", **_BETWEEN_WORDS), file=out)
+
+
+_BETWEEN_WORDS = {"break_long_words": False, "break_on_hyphens": False}
 _LINE_S = 60.0
 """Between lines of progress where there is no terminal."""
 

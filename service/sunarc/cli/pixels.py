@@ -3,14 +3,26 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from sunarc.cli.options import AcceptRefused, AsJson, CalibrationFile, DetectionMethod, choice_of, print_rows
+from sunarc.cli.options import (
+    AcceptRefused,
+    AsJson,
+    CalibrationFile,
+    DetectionMethod,
+    choice_of,
+    print_json,
+    print_sentence,
+    print_table,
+)
 from sunarc.cli.owner import act_as_owner_of
 from sunarc.common.errors import InputError
+from sunarc.common.findings import Finding, headline_of
+from sunarc.common.messages import counted
 from sunarc.detection.values import BAYERS
 from sunarc.public.calibration_files import project_csv, unproject_csv
 from sunarc.sources.detect_files import METHODS, detect_in_files, draw_overlay
@@ -35,17 +47,39 @@ def detect(
         raise InputError(field="--overlay", problem=f"{len(images)} images", remedy="give one image with it")
     mosaic = None if bayer is None else choice_of("--bayer", bayer, BAYERS)
     found = detect_in_files(images, method=choice_of("--method", method, METHODS), full_scale=full_scale, bayer=mosaic)
-    columns = ("file", "x_px", "y_px", "sigma_px", "method", "verdict", "reason")
-    print_rows(found, columns, [[row[column] for column in columns] for row in found], as_json=as_json)
     unread = [row for row in found if row["verdict"] == "no_frame"]
+    if as_json:
+        print_json(found)
+    else:
+        _print_found(found)
     for row in unread:
-        print(f"sunarc: {row['reason']}", file=sys.stderr)
+        print_sentence(f"sunarc: {row['file']}: {_why(row).sentence}", file=sys.stderr)
     if len(unread) == len(found):
         raise typer.Exit(2)
     if overlay is not None:
         draw_overlay(images[0], found[0], overlay)
     if not any(row["accepted"] for row in found):
         raise typer.Exit(1)
+
+
+def _why(row: Mapping[str, Any]) -> Finding:
+    """Return what decided about an image."""
+    first = row["findings"][0]
+    return Finding(first["code"], first["data"])
+
+
+def _print_found(found: Sequence[Mapping[str, Any]]) -> None:
+    """Print a table, the reason of each refusal, and how many images show the sun or what took most of them."""
+    columns = ("file", "x_px", "y_px", "sigma_px", "method", "verdict")
+    print_table(columns, [[row[column] for column in columns] for row in found])
+    refused = [row for row in found if not row["accepted"]]
+    for row in refused:
+        if row["verdict"] != "no_frame":
+            print_sentence(f"{row['file']}: {row['reason']}")
+    shown = len(found) - len(refused)
+    headline = headline_of([_why(row) for row in refused], used=shown)
+    count = f"{shown} of {counted(len(found), 'image')} used"
+    print_sentence(count if headline is None else f"{count}, {headline['n']} refused: {headline['reason']}")
 
 
 def project(calibration: CalibrationFile, *, accept_refused: AcceptRefused = False) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Annotated, get_args
 
 import typer
@@ -30,6 +30,7 @@ from sunarc.cli.options import (
     choice_of,
     parse_image_size,
     print_json,
+    print_sentence,
     print_table,
     progress_bars,
     stated_once,
@@ -44,6 +45,7 @@ from sunarc.sky.site import Site
 from sunarc.sources.detect_files import METHODS
 from sunarc.sources.image_times import TimeRules, utc_offset_of
 from sunarc.sources.index import CameraPlan, Indexed, Selector, index_archive, new_camera_name, read_cameras
+from sunarc.sources.source_dates import by_date
 from sunarc.sources.time_patterns import checked_pattern
 
 _LISTED = 10
@@ -54,7 +56,8 @@ def reanalyse_archive(
     sources: Annotated[
         list[str] | None,
         typer.Argument(
-            help="Folders, zip or tar archives, or addresses of fsspec; each is a camera.", show_default=False
+            help="Folders, zip or tar archives, or addresses of fsspec; each is a camera, those of days are one.",
+            show_default=False,
         ),
     ] = None,
     *,
@@ -158,13 +161,14 @@ def _site(latitude: float | None, longitude: float | None, altitude: float, came
 
 
 def _plans(common: CameraPlan) -> list[CameraPlan]:
-    """Return one camera for each source, by the source's name."""
+    """Return one camera for each source, by the source's name; sources that differ by their dates alone are one."""
     if not common.selector.sources:
         raise InputError(field="SOURCE", problem="missing", remedy="name a folder or archive, or give --cameras FILE")
     plans: dict[str, CameraPlan] = {}
-    for address in common.selector.sources:
-        name = new_camera_name(Path(address.rstrip("/")).name.partition(".")[0] or "camera", taken=plans)
-        plans[name] = replace(common, name=name, selector=Selector((address,)))
+    for undated, addresses in by_date(common.selector.sources):
+        wanted = PurePosixPath(undated).name.partition(".")[0] or "camera"
+        name = new_camera_name(wanted, taken=plans)
+        plans[name] = replace(common, name=name, selector=Selector(addresses))
     return list(plans.values())
 
 
@@ -208,10 +212,12 @@ def _confirm(indexed: Indexed, *, yes: bool) -> None:
     """
     for one in indexed.cameras:
         width, height = one.size
-        seen = f"{counted(len(one.images), 'image')} of {width}x{height} px; times by {one.family}"
+        sources = one.plan.selector.sources
+        of_days = f" in {len(sources)} sources by date" if len(sources) > 1 else ""
+        seen = f"{counted(len(one.images), 'image')} of {width}x{height} px{of_days}; times by {one.family}"
         print(f"camera {one.plan.name}: {seen}: {one.example[0]} is {one.example[1]}", file=sys.stderr)
     for failure in (*indexed.refused, *indexed.failures[:_LISTED]):
-        print(f"left out {failure.file}: {failure.finding.sentence}", file=sys.stderr)
+        print_sentence(f"left out {failure.file}: {failure.finding.sentence}", file=sys.stderr)
     if len(indexed.failures) > _LISTED:
         print(f"… and {len(indexed.failures) - _LISTED} more", file=sys.stderr)
     if yes or not indexed.cameras:
@@ -235,7 +241,7 @@ def _print(summary: Summary, target: Path) -> None:
     rows: list[Sequence[object]] = []
     for one in summary.report["cameras"]:
         for finding in one["findings"]:
-            print(f"{one['camera']}: {finding['reason']}")
+            print_sentence(f"{one['camera']}: {finding['reason']}")
         rows += [
             (
                 f"{one['camera']} {epoch['epoch']}",
@@ -253,11 +259,11 @@ def _print(summary: Summary, target: Path) -> None:
     print_table(header, rows)
     for epoch in (epoch for one in summary.report["cameras"] for epoch in one["epochs"]):
         if not epoch["accepted"] and epoch["reasons"]:
-            print(f"{epoch['camera']} {epoch['epoch']}: {epoch['reasons'][0]}")
+            print_sentence(f"{epoch['camera']} {epoch['epoch']}: {epoch['reasons'][0]}")
     images, suns = (sum(one[key] for one in summary.report["cameras"]) for key in ("images", "accepted"))
     left_out = sum(summary.report["failures"].values())
     counts = (counted(images, "image"), counted(suns, "sun"), f"{counted(left_out, 'file')} left out")
     print(f"{', '.join(counts)}, {summary.report['seconds']:.0f} s")
     print(f"report: {target / 'report.html'}")
     if (headline := summary.report.get("headline")) is not None:
-        print(f"{counted(headline['n'], 'file')} left out: {headline['reason']}")
+        print_sentence(f"{counted(headline['n'], 'file')} left out: {headline['reason']}")

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -43,13 +44,27 @@ class Finding:
 
     @property
     def sentence(self) -> str:
-        """Sentence of the finding with its remedy."""
-        return f"{self.text}; {self.remedy}"
+        """Sentence of the finding with its remedy, where it has one."""
+        return self.text if self.remedy == "none" else f"{self.text}; {self.remedy}"
 
     def as_json(self) -> dict[str, Any]:
         """Return the JSON object of the finding; a number that is not finite is null."""
         data = {key: None if _is_undefined(value) else value for key, value in self.data.items()}
         return {"code": self.code, "data": data}
+
+
+def headline_of(findings: Sequence[Finding], *, used: int) -> dict[str, Any] | None:
+    """Return the cause that took most files, where it took more than were used: its code, its number and its sentence.
+
+    Parameters
+    ----------
+    findings : why files were left out, one of each.
+    used : images that a sun was found in.
+    """
+    for code, n in Counter(one.code for one in findings).most_common(1):
+        example = next(one for one in findings if one.code == code)
+        return {"code": code, "n": n, "reason": example.sentence} if n > used else None
+    return None
 
 
 class FindingError(InputError):

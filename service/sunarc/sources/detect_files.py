@@ -11,7 +11,7 @@ import numpy as np
 
 from sunarc.common.array_types import BoolArray, Image
 from sunarc.common.errors import InputError, disk_errors
-from sunarc.common.findings import Finding
+from sunarc.common.findings import Finding, FindingError
 from sunarc.common.foreign_files import name_text
 from sunarc.detection.disc.detect import detect_sun
 from sunarc.detection.exposure_stack import detect_disc_in_colours, is_short
@@ -104,9 +104,15 @@ def _row(path: Path, *, method: Method, full_scale: int | None, bayer: Bayer | N
         found = detect_in_image(read_image(path), method=method, full_scale=full_scale, bayer=bayer)
     except InputError as error:
         unreadable = Finding("file_unreadable", {"error": str(error)})
-        found = Detection(method="disc", accepted=False, verdict="no_frame", findings=(unreadable,))
-    names = ("reason" if name == "findings" else name for name in Detection.__slots__)
-    return {"file": name_text(path), **{name: getattr(found, name) for name in names}}
+        why = error.finding if isinstance(error, FindingError) else unreadable
+        found = Detection(method="disc", accepted=False, verdict="no_frame", findings=(why,))
+    row = {name: getattr(found, name) for name in Detection.__slots__}
+    return {
+        "file": name_text(path),
+        **row,
+        "findings": [one.as_json() for one in found.findings],
+        "reason": found.reason,
+    }
 
 
 def selected_method(image: Image, method: Method, *, full_scale: int) -> Literal["disc", "paper"]:

@@ -188,9 +188,14 @@ def timed_frames(source: ImageSource, name: str, rules: TimeRules, *, names: Col
     if len(frames) == 1 and kind in {"netpbm", "fits"} and (rules.pattern is not None or frames[0].time is None):
         frame = timed_picture(source, name, rules, names=names)
         return [frame._replace(exposure_us=frames[0].exposure_us or frame.exposure_us)]
-    named = time_in_name(name)
+    named = _named(source, name)
     family = HEADER_FAMILIES[str(kind)]
     return [_in_range(_of_header(frame, name, named, rules, family=family), name) for frame in frames]
+
+
+def _named(source: ImageSource, name: str) -> NamedTime | None:
+    """Return the time in a file's path, or in that with the name of its source, which may be the folder of a day."""
+    return time_in_name(name) or time_in_name(f"{PurePosixPath(source.address).name}/{name}")
 
 
 def _in_range(frame: TimedFrame, name: str) -> TimedFrame:
@@ -208,10 +213,10 @@ def timed_picture(source: ImageSource, name: str, rules: TimeRules, *, names: Co
 def _timed_picture(source: ImageSource, name: str, rules: TimeRules, *, names: Collection[str]) -> TimedFrame:
     path = PurePosixPath(name)
     sidecar_name = sidecar_of(name)
-    named = time_in_name(name)
+    named = _named(source, name)
     prefix = "" if named is None else named.prefix
     if rules.pattern is not None:
-        return _by_pattern(path, rules, prefix)
+        return _by_pattern(source, path, rules, prefix)
     if sidecar_name in names:
         time, exposure_us = sidecar_time(content_of(source, sidecar_name), sidecar_name, exposure_of_name(path.name))
         return TimedFrame(0, time, exposure_us, "sidecar", prefix)
@@ -230,9 +235,9 @@ def _of_document(source: ImageSource, name: str) -> datetime | None:
         return None
 
 
-def _by_pattern(path: PurePosixPath, rules: TimeRules, prefix: str) -> TimedFrame:
+def _by_pattern(source: ImageSource, path: PurePosixPath, rules: TimeRules, prefix: str) -> TimedFrame:
     pattern = str(rules.pattern)
-    written = time_pattern(pattern).read(stem_of(str(path)))
+    written = time_pattern(pattern).read(stem_of(f"{source.address.rstrip('/')}/{path}"))
     if written is None:
         raise FindingError(path.name, Finding("file_time_pattern", {"pattern": pattern}))
     utc = _utc(*written, path.name, rules)

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from sunarc.archives.results import headline_of
-from sunarc.common.findings import Finding
-from sunarc.sources.index import Failure
+from sunarc.common.findings import Finding, headline_of
 
 AMBIGUOUS = Finding("file_time_ambiguous", {"first": "2013-06-05T12:30:00", "second": "2013-05-06T12:30:00"})
 
 
 def test_the_cause_that_took_most_files_is_said_with_its_remedy_where_it_took_more_than_were_used() -> None:
-    failures = [Failure(f"{n}.jpg", AMBIGUOUS) for n in range(7)] + [Failure("x.jpg", Finding("file_truncated"))] * 3
+    failures = [AMBIGUOUS] * 7 + [Finding("file_truncated")] * 3
     headline = headline_of(failures, used=6)
     assert headline == {"code": "file_time_ambiguous", "n": 7, "reason": AMBIGUOUS.sentence}
     assert "--time-pattern" in AMBIGUOUS.sentence
