@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 import pytest
+from astropy.io import fits
 
 from sunarc.lab.simulation.options import SceneOptions
 from sunarc.lab.simulation.scene import Scene
@@ -122,3 +123,15 @@ def test_the_last_line_is_the_cause_that_took_most_images_and_no_word_is_cut(
     assert [found[0]["reason"] in line for line in answer.out.splitlines()[-3:]] == [True, True, True]
     assert answer.out.splitlines()[-1].startswith("1 of 3 images used, 2 refused: ")
     assert sunarc("detect", str(good), str(good), str(dark[0])).out.splitlines()[-1] == "2 of 3 images used"
+
+
+def test_counts_of_8_bits_that_are_stored_as_16_show_the_same_sun(sunarc: Sunarc, tmp_path: Path) -> None:
+    bare = Scene(true_camera(), SGP)
+    eight = bare.render(round(NOON.timestamp() * 1e6), exposure_us=100.0, full_scale=255).astype(np.uint8)
+    paths = [tmp_path / "8.png", tmp_path / "16.png", tmp_path / "16.fits"]
+    cv2.imwrite(str(paths[0]), eight)
+    cv2.imwrite(str(paths[1]), eight.astype(np.uint16))
+    fits.PrimaryHDU(eight.astype(np.uint16)).writeto(paths[2])
+    found = json.loads(sunarc("detect", *map(str, paths), "--json").out)
+    assert found[0]["accepted"]
+    assert [{**one, "file": ""} for one in found[1:]] == [{**found[0], "file": ""}] * 2

@@ -391,7 +391,7 @@ def archive_readers(image: NDArray[np.uint8]) -> list[Reader]:
         Reader("cameras", (cameras,), at_path("cameras.toml", lambda p: read_cameras(p, common=common))),
         Reader("fits", (fits_file(image), fits_tiles(image)), fits_of, SLOW),
         Reader("fits.gz", (gzip.compress(fits_file(image)),), in_folder("a.fits.gz"), SLOW),
-        Reader("netpbm", netpbm_files(image), in_folder("a.pgm")),
+        Reader("netpbm", (*netpbm_files(image), text_netpbm(image)), in_folder("a.pgm")),
         Reader("netpbm.gz", tuple(map(gzip.compress, netpbm_files(image))), in_folder("a.pgm.gz"), DEAR),
         Reader("bmp.gz", (gzip.compress(cv2.imencode(".bmp", image)[1].tobytes()),), in_folder("a.bmp.gz"), DEAR),
         Reader("trex", (trex_file(image),), netcdf_of, SLOW),
@@ -440,6 +440,14 @@ def fits_tiles(image: NDArray[np.uint8]) -> bytes:
     made = io.BytesIO()
     fits.HDUList([fits.PrimaryHDU(), fits.CompImageHDU(image.astype(np.uint16) * 100)]).writeto(made)
     return made.getvalue()
+
+
+def text_netpbm(image: NDArray[np.uint8]) -> bytes:
+    """Return a PGM whose counts are text."""
+    small = image[:16, :16] if image.ndim == 2 else image[:16, :16, 0]
+    return (
+        b"P2\n# text\n%d %d\n255\n" % small.shape[::-1] + "\n".join(" ".join(map(str, row)) for row in small).encode()
+    )
 
 
 def netpbm_files(image: NDArray[np.uint8]) -> tuple[bytes, ...]:

@@ -23,7 +23,7 @@ from sunarc.sources.files import read_image
 Method = Literal["auto", "disc", "paper"]
 METHODS: tuple[Method, ...] = get_args(Method)
 
-_FULL_SCALES = (1023, 4095, 16383, 65535)
+_FULL_SCALES = (255, 1023, 4095, 16383, 65535)
 _DARK = 0.03
 _CROSS_PX = 60
 
@@ -124,7 +124,7 @@ def selected_method(image: Image, method: Method, *, full_scale: int) -> Literal
 
 
 def estimated_full_scale(image: Image) -> int:
-    """Return the smallest usual full scale that holds the image."""
+    """Return the smallest usual full scale that holds the image; counts of 8 bits may be stored as 16."""
     if image.dtype == np.uint8:
         return 255
     top = int(image.max(initial=0))

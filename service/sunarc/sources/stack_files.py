@@ -26,11 +26,11 @@ from sunarc.sources.source_files import MOST_PIXELS, FileImage, not_read, refusi
 
 # PGM and PPM (https://netpbm.sourceforge.net/doc/pgm.html): a file may hold several, each with comments in its header.
 
-NETPBM = (b"P5", b"P6")
-"""What files of binary counts begin with."""
+NETPBM = (b"P5", b"P6", b"P2", b"P3")
+"""What files of binary counts, and of counts as text, begin with."""
 _SPACE = rb"(?:\s|#[^\n]*\n)+"
 _HEADER = re.compile(
-    rb"P(?P<magic>[56])(?P<comments>" + _SPACE + rb")(?P<width>\d{1,6})" + _SPACE + rb"(?P<height>\d{1,6})" + _SPACE
+    rb"P(?P<magic>[5623])(?P<comments>" + _SPACE + rb")(?P<width>\d{1,6})" + _SPACE + rb"(?P<height>\d{1,6})" + _SPACE
     + rb"(?P<top>\d{1,5})\s"
 )  # fmt: skip
 _PART, _MOST_HEADER = 512, 1 << 14
@@ -61,7 +61,7 @@ def netpbm_images(
     for number, (header, image) in enumerate(_parts(file, name)):
         if number in numbers:
             require_size(image.shape, name, size)
-            if header["magic"] == b"6":  # RGB
+            if header["magic"] in b"63":  # RGB
                 image[..., [0, 2]] = image[..., [2, 0]]
             yield number, image
         if number == max(numbers):
@@ -76,8 +76,11 @@ def _parts(file: BinaryIO, name: str) -> Iterator[tuple[re.Match[bytes], Image]]
         while (header := _HEADER.match(left)) is None and len(left) < _MOST_HEADER and (more := file.read(_PART)):
             left += more
         if header is None and number == 0:
-            raise unreadable(name, "no PGM or PPM of binary counts")
+            raise unreadable(name, "no PGM or PPM of counts")
         if header is None:
+            return
+        if header["magic"] in _TEXT:
+            yield header, _of_text(header, left + file.read(), name)
             return
         image = _empty(header, name)
         pixels = image.reshape(-1).view(np.uint8).data
@@ -89,6 +92,24 @@ def _parts(file: BinaryIO, name: str) -> Iterator[tuple[re.Match[bytes], Image]]
         yield header, image.byteswap(inplace=True) if image.dtype == np.uint16 else image
 
 
+_TEXT = (b"2", b"3")
+
+
+def _of_text(header: re.Match[bytes], content: bytes, name: str) -> Image:
+    """Return the image of a file whose counts are written as text."""
+    image = _empty(header, name)
+    letters = np.frombuffer(content, np.uint8)[header.end() :]
+    is_digit = (letters >= ord("0")) & (letters <= ord("9"))
+    if not (is_digit | (letters <= ord(" "))).all():
+        raise unreadable(name, "letters among its counts")
+    if np.count_nonzero(is_digit[1:] & ~is_digit[:-1]) + int(is_digit[:1].any()) < image.size:
+        raise FindingError(name, Finding("file_truncated"))
+    counts = np.fromstring(content[header.end() :], np.int32, image.size, sep=" ")
+    if counts.min() < 0 or counts.max() > int(header["top"]):
+        raise unreadable(name, "counts above its header's largest")
+    return counts.reshape(image.shape).astype(image.dtype)
+
+
 def _empty(header: re.Match[bytes], name: str) -> Image:
     """Return room for the image of a header: rows, columns and three colours of a PPM."""
     rows, columns, top = int(header["height"]), int(header["width"]), int(header["top"])
@@ -96,7 +117,7 @@ def _empty(header: re.Match[bytes], name: str) -> Image:
         raise unreadable(name, "its header states no image")
     if rows * columns > 2 * MOST_PIXELS:
         raise FindingError(name, Finding("file_too_many_pixels", {"most": 2 * MOST_PIXELS}))
-    shape = (rows, columns, 3) if header["magic"] == b"6" else (rows, columns)
+    shape = (rows, columns, 3) if header["magic"] in b"63" else (rows, columns)
     return np.empty(shape, np.uint8) if top <= np.iinfo(np.uint8).max else np.empty(shape, np.uint16)
 
 

@@ -60,6 +60,8 @@ FILES: dict[str, tuple[bytes, np.ndarray[Any, Any]]] = {
     "i.fits.fz": (tiles(DEEP), DEEP),
     "j.fits": (tiles(DEEP), DEEP),
     "k.pnm": (b"P5 24 20 4095\n" + (DEEP % 4096).astype(">u2").tobytes(), DEEP % 4096),
+    "m.pgm": (b"P2\n# 12 bits\n24 20\n4095\n" + " ".join(map(str, (DEEP % 4096).ravel())).encode(), DEEP % 4096),
+    "n.ppm": (b"P3 48 40 255\n" + "\n".join(map(str, COLOURS[..., ::-1].ravel())).encode(), COLOURS),
     "l.png": (encoded(GREY, ".pgm"), GREY),  # a wrong ending
 }
 
