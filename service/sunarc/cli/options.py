@@ -8,6 +8,7 @@ import textwrap
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TextIO, TypeVar
 
@@ -214,10 +215,10 @@ def print_sentence(text: str, *, file: TextIO | None = None) -> None:
         print(text, file=out)
         return
     width = shutil.get_terminal_size().columns
-    print(textwrap.fill(text, width, subsequent_indent="  ", **_BETWEEN_WORDS), file=out)
+    print(_BETWEEN_WORDS(width=width).fill(text), file=out)
 
 
-_BETWEEN_WORDS = {"break_long_words": False, "break_on_hyphens": False}
+_BETWEEN_WORDS = partial(textwrap.TextWrapper, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
 _LINE_S = 60.0
 """Between lines of progress where there is no terminal."""
 

@@ -107,7 +107,8 @@ def _of_text(header: re.Match[bytes], content: bytes, name: str) -> Image:
     counts = np.fromstring(content[header.end() :], np.int32, image.size, sep=" ")
     if counts.min() < 0 or counts.max() > int(header["top"]):
         raise unreadable(name, "counts above its header's largest")
-    return counts.reshape(image.shape).astype(image.dtype)
+    image[...] = counts.reshape(image.shape)
+    return image
 
 
 def _empty(header: re.Match[bytes], name: str) -> Image:
