@@ -100,11 +100,12 @@ def _of_text(header: re.Match[bytes], content: bytes, name: str) -> Image:
     image = _empty(header, name)
     letters = np.frombuffer(content, np.uint8)[header.end() :]
     is_digit = (letters >= ord("0")) & (letters <= ord("9"))
-    if not (is_digit | (letters <= ord(" "))).all():
+    is_space = (letters == ord(" ")) | ((letters >= ord("\t")) & (letters <= ord("\r")))
+    if not (is_digit | is_space).all():
         raise unreadable(name, "letters among its counts")
     if np.count_nonzero(is_digit[1:] & ~is_digit[:-1]) + int(is_digit[:1].any()) < image.size:
         raise FindingError(name, Finding("file_truncated"))
-    counts = np.fromstring(content[header.end() :], np.int32, image.size, sep=" ")
+    counts = np.fromstring(content[header.end() :], np.int64, image.size, sep=" ")
     if counts.min() < 0 or counts.max() > int(header["top"]):
         raise unreadable(name, "counts above its header's largest")
     image[...] = counts.reshape(image.shape)

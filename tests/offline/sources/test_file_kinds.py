@@ -231,3 +231,13 @@ def test_a_bomb_takes_hardly_more_memory_than_the_image_that_its_header_states(k
     asked = [sys.executable, "-c", READ, str(tmp_path), name]
     taken, image = map(float, subprocess.run(asked, check=True, capture_output=True, text=True).stdout.split())
     assert taken < 2.0 * image + 40.0
+
+
+@pytest.mark.parametrize(
+    "counts_of_it", [b"300 3", b"4294967297 3", b"99999999999999999999 3", b"1 2a", b"1 -2", b"1\x00 2", b"1", b""]
+)
+def test_a_text_image_with_other_than_its_counts_is_refused(counts_of_it: bytes, tmp_path: Path) -> None:
+    source = open_source(str(folder_of({"a.pgm": b"P2\n2 1\n255\n" + counts_of_it}, tmp_path)))
+    found = image_of(source, "a.pgm")
+    assert isinstance(found, Finding)
+    assert found.code in {"file_not_image", "file_truncated"}
