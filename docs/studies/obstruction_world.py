@@ -173,6 +173,7 @@ class World:
         disc = 3e4 * (away < math.radians(0.27)) + 60.0 * np.exp(-away / math.radians(1.2)) / haze
         disc = disc * day * (height > -0.3) * np.exp(-9.0 * thick)
         lit = (1.3 + 1.5 * np.exp(-2.0 * away)) * (1.0 - 0.55 * np.clip(thick, 0.0, 1.0)) * (0.4 + 0.6 * up)
+        lit = lit + (clear - lit) * (1.0 - np.exp(-0.12 / up)) * (cover < 1.0)  # the air before far clouds is lit
         veiled = clear * day * (1.0 - np.clip(1.6 * thick, 0, 1)) + lit * day * np.clip(1.6 * thick, 0, 1)
         return np.asarray(veiled + disc + glow)
 

@@ -27,6 +27,8 @@ LIBRARY = {name: Command(module, attribute, text) for name, module, attribute, t
      "Find the sun in images; exit 1 when none shows it, 2 when none is an image."),
     ("stars", "sunarc.cli.stars", "stars",
      "Detect and identify stars in images of the night; exit 1 when none matches, or one is of another site."),
+    ("mask", "sunarc.cli.mask", "mask",
+     "Find what hides the sky, and the horizon, in images of a clear day or more."),
     ("project", "sunarc.cli.pixels", "project",
      "Read zenith_deg,azimuth_deg from standard input and write their pixels."),
     ("unproject", "sunarc.cli.pixels", "unproject",

@@ -27,8 +27,9 @@ _VOTE_S = 600.0
 """Images closer in time share one vote: clouds and light are the same in them."""
 _MOST_ODDS = 15.0
 """Log odds are clipped here: a clear day has about 60 votes, so that two overturn any history."""
-_MOST_CLOUDY_ODDS = 6.0
-"""Log odds that images without the sun can reach: a bank of dark clouds stands for days, a clear day overturns it."""
+_CLOUDY_WEIGHT, _MOST_CLOUDY_ODDS = 0.1, 3.0
+"""Weight of a vote without the sun, and log odds that these can reach: a bank of dark clouds stands for days, a clear
+day overturns it."""
 _HALF_LIFE_S = 60.0 * 86400.0
 _NEEDED_CLEAR_S = 4.0 * 3600.0
 """Time with the sun seen from which on there is a mask: one clear day, in winter too."""
@@ -272,9 +273,10 @@ def _voted(
     sky, spread = _sky_light(image.light, sums, grid, towards)
     contrast = np.clip(image.light - sky, -2.0, 2.0)
     seen = sun_seen if sun_seen is not None else _sun_is_seen(image, grid, towards)
-    clear = seen or (sun[2] > 0.0 and spread < _CLEAR_SPREAD and sums.unix_s - sums.seen_s < _CLEAR_FOR_S)
-    weight = vote / (1.0 + (spread / _CLEAR_SPREAD) ** 2) ** 2 * (1.0 if clear else 0.35)
-    dark = np.clip((-contrast - _DARK) / _DARK_WIDTH, -1.0, 2.0)
+    behind = sun[2] > 0.0 and float(sums.log_odds.flat[int(np.argmax(towards))]) > -1.0  # not in the open sky
+    clear = seen or (behind and spread < _CLEAR_SPREAD and sums.unix_s - sums.seen_s < _CLEAR_FOR_S)
+    weight = vote / (1.0 + (spread / _CLEAR_SPREAD) ** 2) ** 2 * (1.0 if clear else _CLOUDY_WEIGHT)
+    dark = np.clip((-contrast - _DARK) / _DARK_WIDTH, -1.0, 1.0)
     still = _stillness(image.texture, sums)
     fading = np.clip(1.0 - (contrast - _BRIGHT) / _BRIGHT_WIDTH, 0.2, 1.0) * (1.0 - still)
     shows_sky = clear or spread > _CLEAR_SPREAD  # in fog and under an even overcast all looks like the sky

@@ -220,7 +220,7 @@ def read_stars(path: Path, site: Site, options: StarOptions, *, size: tuple[int,
     InputError where the image has not the size (width, height) that is wanted.
     """
     try:
-        time, image, bayer = _read(path, options)
+        time, image, bayer = read_timed(path, options)
     except FindingError as refused:
         return StarImage(file=name_text(path), reason=refused.finding.text, findings=(refused.finding,))
     except InputError as error:
@@ -270,7 +270,7 @@ def _other_site(path: Path, site: Site) -> Finding | None:
     return Finding("file_other_site", data) if apart > _FARTHEST_DEG else None
 
 
-def _read(path: Path, options: StarOptions) -> tuple[datetime, Image, Bayer | None]:
+def read_timed(path: Path, options: StarOptions) -> tuple[datetime, Image, Bayer | None]:
     """Return the middle of an image's exposure, its pixels, and the colours of its mosaic; of several the first one's.
 
     The time of a header with an exposure is that of the middle. A pattern of names goes first.

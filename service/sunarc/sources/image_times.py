@@ -181,7 +181,7 @@ def timed_frames(source: ImageSource, name: str, rules: TimeRules, *, names: Col
     FindingError : nothing states the time, or nothing states its zone.
     """
     kind = kind_of(name)
-    if kind == "picture":
+    if kind in {"picture", None}:  # a name of no kind may hold a picture; its content decides
         return [timed_picture(source, name, rules, names=names)]
     sidecar_name = sidecar_of(name)
     frames = frames_in(source, name, sidecar=lambda: source.read(sidecar_name) if sidecar_name in names else None)
