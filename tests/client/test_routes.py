@@ -50,6 +50,8 @@ ASKED: dict[str, Callable[[Imager], Any]] = {
     "PUT /v1/days/{date}/air": lambda imager: imager.set_day_air(DAY, pressure_hpa=970.0),
     "POST /v1/epochs/{epoch_id}/close": lambda imager: imager.close_epoch("roof-1", reason="r"),
     "GET /v1/events": lambda imager: list(imager.past_events(severity="alarm")),
+    "POST /v1/events/{event_id}/acknowledge": lambda imager: imager.acknowledge(17),
+    "GET /v1/events/{event_id}/pictures/{side}": lambda imager: imager.move_picture(17, "after", horizon=True),
     "GET /v1/events/stream": lambda imager: next(imager.events()),
     "GET /v1/housekeeping": lambda imager: imager.housekeeping(step="day", since=AT),
     "GET /v1/image/latest": lambda imager: imager.latest_image(width=64),

@@ -58,6 +58,8 @@ class AsyncImager:
     activate = _in_thread(Imager.activate)
     pin = _in_thread(Imager.pin)
     unpin = _in_thread(Imager.unpin)
+    acknowledge = _in_thread(Imager.acknowledge)
+    move_picture = _in_thread(Imager.move_picture)
     close_epoch = _in_thread(Imager.close_epoch)
     refit = _in_thread(Imager.refit)
     request_refit = _in_thread(Imager.request_refit)

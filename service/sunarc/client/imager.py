@@ -133,9 +133,9 @@ class Imager(Requests):
         with _expected_content():
             return dict(json.loads(answer[0])), answer[1].get("ETag", "")
 
-    def calibrations(self, *, state: str | None = None) -> Iterator[dict[str, Any]]:
-        """Yield the history of calibrations, the newest first; of one state alone if asked."""
-        return self._pages("/calibrations", "calibrations", state=state)
+    def calibrations(self, *, state: str | None = None, provisional: bool = False) -> Iterator[dict[str, Any]]:
+        """Yield the history of calibrations, the newest first; of one state, or with provisional poses, if asked."""
+        return self._pages("/calibrations", "calibrations", state=state, provisional="true" if provisional else None)
 
     def activate(self, calibration_id: str, *, reason: str) -> dict[str, Any]:
         """Make a stored calibration current from now on; needs the token of changes."""
@@ -268,9 +268,22 @@ class Imager(Requests):
         until: datetime | None = None,
         severity: str | None = None,
         kind: str | None = None,
+        to_acknowledge: bool = False,
     ) -> Iterator[dict[str, Any]]:
         """Yield the stored events with since <= time < until, the newest first; `events` are those to come."""
-        return self._pages("/events", "events", since=_time(since), until=_time(until), severity=severity, kind=kind)
+        query = {"severity": severity, "kind": kind, "to_acknowledge": "true" if to_acknowledge else None}
+        return self._pages("/events", "events", since=_time(since), until=_time(until), **query)
+
+    def acknowledge(self, event: int, *, reason: str = "seen") -> dict[str, Any]:
+        """Acknowledge an event by its `id`, and return it; needs the token of changes."""
+        return self._change(f"/events/{event}/acknowledge", reason=reason)
+
+    def move_picture(
+        self, event: int, side: Literal["before", "after"], *, horizon: bool = False, width: int | None = None
+    ) -> bytes:
+        """Return the picture before or after a move, by its event's `id`, as JPEG; with the horizon if asked."""
+        given = None if width is None else str(width)
+        return self._content(f"/events/{event}/pictures/{side}", horizon="true" if horizon else None, width=given)
 
     def cameras(self) -> dict[str, Any]:
         """Return the cameras that the archive knows, and the name of the one that is asked by default."""
