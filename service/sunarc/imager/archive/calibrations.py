@@ -122,13 +122,15 @@ class CalibrationStore(Part):
         if not before or start >= record.created_at:
             return
         since = max(start, min(one.valid_from for one in before))
-        data = {
-            "calibration": record.id,
-            "before": ", ".join(one.id for one in before),
-            "since": rfc3339(since, timespec="seconds"),
-            "until": rfc3339(record.created_at, timespec="seconds"),
-        }
-        found = Finding("past_answers_changed", data)
+        found = Finding(
+            "past_answers_changed",
+            {
+                "calibration": record.id,
+                "before": ", ".join(one.id for one in before),
+                "since": rfc3339(since, timespec="seconds"),
+                "until": rfc3339(record.created_at, timespec="seconds"),
+            },
+        )
         store_decision(connection, found, at=record.created_at, camera=record.camera)
 
     def answer_between(self, calibration_id: str, *, since: datetime, until: datetime) -> CalibrationRecord:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import KW_ONLY, dataclass
 from datetime import datetime
@@ -150,11 +151,37 @@ def condition_of_move(code: str, event: Event, *, since: str = "") -> Reason:
     event : what happened.
     since : in words, what answers since then; not where a fit after it was accepted.
     """
-    data = {
-        **{key: value for key, value in event.details.items() if type(value) in {str, int, float}},
-        "change": _LENS_WORDS.get(event.kind, event.kind),
-        "date": f"{event.time:%-d %b %Y %H:%M} UTC",
-        "since": since,
-        "event": event.id or 0,
+    number = event.id or 0
+    date = f"{event.time:%-d %b %Y %H:%M} UTC"
+    size, sigma = (_number(event, name) for name in ("size", "sigma"))
+    change = _LENS_WORDS.get(event.kind, event.kind)
+    serials = {name: str(event.details.get(name, "")) for name in ("serial", "serial_before")}
+    found = {
+        "camera_moved": Finding(
+            "camera_moved", {"size": size, "sigma": sigma, "date": date, "since": since, "event": number}
+        ),
+        "camera_moved_fitted": Finding(
+            "camera_moved_fitted", {"size": size, "sigma": sigma, "date": date, "event": number}
+        ),
+        "lens_changed": Finding("lens_changed", {"change": change, "date": date, "since": since, "event": number}),
+        "lens_changed_fitted": Finding("lens_changed_fitted", {"change": change, "date": date, "event": number}),
+        "camera_replaced": Finding(
+            "camera_replaced",
+            {
+                "model": str(event.details.get("model", "")),
+                "serial": serials["serial"],
+                "serial_before": serials["serial_before"],
+                "calibration": str(event.details.get("calibration") or "none"),
+            },
+        ),
+        "camera_replaced_fitted": Finding(
+            "camera_replaced_fitted",
+            {"serial": serials["serial"], "serial_before": serials["serial_before"], "date": date, "event": number},
+        ),
     }
-    return Reason.of(Finding(code, data), severity="note")
+    return Reason.of(found[code], severity="note")
+
+
+def _number(event: Event, name: str) -> float:
+    value = event.details.get(name)
+    return float(value) if isinstance(value, int | float) else math.nan

@@ -601,14 +601,15 @@ class CalibrationIntegrityCheck:
 
     def _without(self) -> Reason:
         """Return the condition `no_calibration`: the first is awaited, or the last has ended."""
-        archive, name = self.camera.archive, self.camera.name
+        archive, name, now = self.camera.archive, self.camera.name, self.now()
         ended = [one for one in archive.calibrations.find(name, state="retired") if one.valid_until is not None]
         if not ended:
             return condition("no_calibration", n=archive.sightings.count_accepted(name))
         last = max(ended, key=lambda one: one.valid_until or one.valid_from)
-        times = {"ended_at": last.valid_until, "created_at": last.created_at}
-        written = {key: "" if time is None else rfc3339(time, timespec="minutes") for key, time in times.items()}
-        found = Finding("calibration_ended", {"calibration": last.id, **written})
+        created_at, ended_at = (
+            rfc3339(time or now, timespec="minutes") for time in (last.created_at, last.valid_until)
+        )
+        found = Finding("calibration_ended", {"calibration": last.id, "created_at": created_at, "ended_at": ended_at})
         return Reason.of(found, code="no_calibration")
 
     def _not_accepted(self) -> Reason | None:
