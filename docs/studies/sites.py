@@ -35,7 +35,7 @@ from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.quality.widening import with_clock
+from sunarc.calibration.verdict import with_clock
 from sunarc.optics.inverse import unproject
 from sunarc.optics.projections import Projection
 from sunarc.sky.site import Site

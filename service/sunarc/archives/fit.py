@@ -33,9 +33,18 @@ from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.projection_choice import options_as_served
 from sunarc.calibration.quality.fit_checks import JudgedFit, is_tilt_shown
 from sunarc.calibration.quality.tilt import tilt_question
-from sunarc.calibration.quality.widening import with_clock, with_larger_errors, with_pose_spread
+from sunarc.calibration.quality.widening import with_larger_errors, with_pose_spread
 from sunarc.calibration.selection import select_sightings, surest_of_epochs
-from sunarc.calibration.verdict import ASKED, PARTS, SITE_ASSUMED, findings, fired, is_undetermined, provisional
+from sunarc.calibration.verdict import (
+    ASKED,
+    PARTS,
+    SITE_ASSUMED,
+    findings,
+    fired,
+    is_undetermined,
+    provisional,
+    with_clock,
+)
 from sunarc.changes.epoch_changes import (
     agreeing_days,
     change_within,
@@ -45,7 +54,7 @@ from sunarc.changes.epoch_changes import (
     noise_of_days,
     spread_deg,
 )
-from sunarc.common.array_types import FloatArray, IntArray, stacked
+from sunarc.common.array_types import FloatArray, IntArray, even_parts, stacked
 from sunarc.common.findings import Finding
 from sunarc.common.robust_statistics import finite, robust_sigma
 from sunarc.common.utc import utc_time
@@ -455,9 +464,10 @@ def _held_to_parts(final: Final, given: CameraSightings) -> Final:
 def _parts_of(points: Sightings) -> Iterator[Sightings]:
     """Yield the halves and thirds of sightings in the order of time, and those by turns, where they are enough."""
     rows = np.arange(len(points))
-    for part in (*np.array_split(rows, 2), *np.array_split(rows, 3), rows[::2], rows[1::2]):
-        if part.size >= _FEWEST_OF_PART:
-            yield points.select(part)
+    for parts in (even_parts(rows, most=2), even_parts(rows, most=3), rows % 2):
+        for part in np.unique(parts):
+            if np.count_nonzero(parts == part) >= _FEWEST_OF_PART:
+                yield points.select(parts == part)
 
 
 def _held_to(fitted: FittedPose, sigmas: float) -> FittedPose:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from functools import partial
+from functools import partial, reduce
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -17,9 +17,10 @@ from sunarc.calibration import acceptance
 from sunarc.calibration.acceptance import Succession
 from sunarc.calibration.answers.covariance import seen_sky, sigma_deg, without_clock
 from sunarc.calibration.model.options import CalibrationOptions
-from sunarc.calibration.model.result import Calibration, Verdict, proof_of, refused_for
+from sunarc.calibration.model.result import Calibration, Verdict, proof_of, refused_for, with_finding
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.quality import fit_checks as of
+from sunarc.calibration.quality import widening
 from sunarc.calibration.quality.day_clocks import allowed_clock_s, unsteady_clock
 from sunarc.calibration.quality.fit_checks import FEWEST_BELOW, Given, JudgedFit
 from sunarc.calibration.quality.tilt import LEVEL_DEG
@@ -148,6 +149,12 @@ NOTED = (
     *SITE_ASSUMED,
 )
 
+CLOCK = (
+    FitCheck("times_without_seconds", widening.half_a_step, Bound("clock_error_s", 0.0), "widen"),
+    FitCheck("clock_unbounded", widening.assumed_clock),
+)
+"""Findings of an accepted fit for whose clock no bound is stated."""
+
 # Fit in place of the calibration in use
 
 _GROWTH = Bound("now_deg", acceptance.allowed_growth, per="before_deg")
@@ -175,7 +182,7 @@ PARTS = (
 TABLE = {
     "Sightings, before a fit": (*STATIC, *BELOW_HORIZON, *FEW, *SHORT),
     "Refusals of a fit": (*ASKED, *AGAINST),
-    "Findings of an accepted fit": (*FOUND, *NOTED),
+    "Findings of an accepted fit": (*FOUND, *NOTED, *CLOCK),
     "Fit in place of the calibration in use": SUCCEEDS,
     "Fit of an archive against those of its parts": PARTS,
 }
@@ -238,6 +245,32 @@ def fit_verdict(
         return Verdict(accepted=False, findings=tuple(map(within, against)))
     found = (*findings(FOUND, judged), *usable.filtering.dropped, *findings(NOTED, judged))
     return Verdict(accepted=True, findings=found)
+
+
+def with_clock(
+    calibration: Calibration, clock_error_s: float | None, *, assumed: bool = False, step_s: float = 0.0
+) -> Calibration:
+    """Return a calibration whose uncertainty holds an error of the clock that is stated for all of its sightings.
+
+    The sun, the planets and the stars turn about the pole alike: no residual shows a constant error. Where none is
+    stated, half a step of times on a grid is assumed, and an accepted verdict names what is assumed.
+
+    Parameters
+    ----------
+    calibration : as it was fitted; the pose of a known lens has the clock of its sightings.
+    clock_error_s : the bound, s; None where none is stated.
+    assumed : whether the bound that the sightings carry is a default that nobody stated.
+    step_s : see `time_step_s`; 0 of times on no grid.
+    """
+    if clock_error_s is not None:
+        return widening.with_clock_error(calibration, clock_error_s)
+    if step_s > 0.0:
+        calibration = widening.with_clock_error(calibration, 0.5 * step_s)
+    elif calibration.evidence.clock_stated and not assumed:
+        return calibration
+    unstated = replace(calibration, evidence=replace(calibration.evidence, clock_stated=False))
+    said = findings(CLOCK, widening.UnboundedClock(unstated, step_s)) if calibration.verdict.accepted else ()
+    return reduce(with_finding, said, unstated)
 
 
 _DISTANCES = frozenset({"rmse_px", "stated_px", "off_px", "scatter_px"})

@@ -26,6 +26,15 @@ def evenly_spread(size: int, *, most: int) -> IntArray:
     return np.linspace(0, size - 1, min(size, most)).round().astype(np.int64)
 
 
+def even_parts(values: IntArray, *, most: int) -> IntArray:
+    """Return (n,): the part, from 0, of each value (n,): so many at most, each a run of about as many distinct values.
+
+    Of days they are runs of whole days; of the rows of a record halves or thirds of it.
+    """
+    distinct, number = np.unique(values, return_inverse=True)
+    return np.asarray(number * min(distinct.size, most) // max(distinct.size, 1))
+
+
 def picked(table: _Table, which: Rows) -> _Table:
     """Return a frozen dataclass of columns, each (n, ...), with some of its rows."""
     columns: Any = table

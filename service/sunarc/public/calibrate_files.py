@@ -16,8 +16,8 @@ from sunarc.calibration.lens_library.joint import Entry, Unit, calibrate_jointly
 from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.quality.widening import with_clock
 from sunarc.calibration.stated_prior import PriorTolerances
+from sunarc.calibration.verdict import with_clock
 from sunarc.common.errors import InputError
 from sunarc.common.extras import extra_module
 from sunarc.common.json_text import json_text

@@ -15,9 +15,8 @@ from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S, Kind, Sightings, time_step_s
 from sunarc.calibration.pose import estimate_pose
 from sunarc.calibration.quality.tilt import require_level
-from sunarc.calibration.quality.widening import with_clock, with_whole_minutes
 from sunarc.calibration.stated_prior import PriorTolerances, calibrate_with_prior
-from sunarc.calibration.verdict import provisional
+from sunarc.calibration.verdict import provisional, with_clock
 from sunarc.changes.record import Moved, calibrate_moved, calibrate_with_lens
 from sunarc.common.errors import InputError
 from sunarc.common.findings import Finding
@@ -104,10 +103,7 @@ def fit_as_stated(
         solved = _explained(solved, points, options=options, circle=circle)
     if keep_provisional:
         solved = provisional(solved, limit_deg=options.max_sky_deg)
-    if clock_error_s is None:
-        solved = with_whole_minutes(solved, time_step_s(points.unix_s))
-    solved = with_clock(solved, clock_error_s)
-    return Moved(solved, points)
+    return Moved(with_clock(solved, clock_error_s, step_s=time_step_s(points.unix_s)), points)
 
 
 _SAME_SITE_DEG = 0.1

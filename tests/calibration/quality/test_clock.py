@@ -15,7 +15,7 @@ from sunarc.calibration.acceptance import apart_sigmas
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance, sigma_deg, without_clock
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import time_step_s
-from sunarc.calibration.quality.widening import with_clock, with_whole_minutes
+from sunarc.calibration.verdict import with_clock
 from sunarc.formats.calibration_document import from_document
 
 STATED_S = 120.0
@@ -51,12 +51,12 @@ def test_a_clock_that_nothing_bounds_is_said_and_changes_no_digit(fit: Calibrati
 
 
 def test_half_a_minute_is_assumed_of_times_without_seconds_and_said(fit: Calibration) -> None:
-    said = with_clock(with_whole_minutes(fit, 60.0), None)
+    said = with_clock(fit, None, step_s=60.0)
     by_code = {one.code: one.data for one in said.verdict.findings}
     assert by_code["times_without_seconds"]["clock_error_s"] == by_code["clock_unbounded"]["clock_error_s"] == 30.0
     np.testing.assert_array_equal(said.covariance, with_clock(fit, 30.0).covariance)
     assert not said.evidence.clock_stated
-    assert with_whole_minutes(fit, 0.0) is fit
+    assert "times_without_seconds" not in codes(with_clock(fit, None).verdict.findings)
 
 
 @pytest.mark.parametrize(

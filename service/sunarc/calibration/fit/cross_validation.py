@@ -16,7 +16,7 @@ from sunarc.calibration.fit.posterior import prediction_variance, shown_sky
 from sunarc.calibration.fit.robust_fit import FitState, leverage_of
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Kind, Sightings
-from sunarc.common.array_types import BoolArray, FloatArray
+from sunarc.common.array_types import BoolArray, FloatArray, even_parts
 from sunarc.common.findings import Finding
 from sunarc.common.robust_statistics import robust_sigma
 from sunarc.optics.forward import project
@@ -68,11 +68,9 @@ def without_parts(fit: FitState, usable: Sightings) -> list[_Without]:
 
     Parts are thirds of a day, or of several days whole ones, in five groups at most.
     """
-    days = np.unique(usable.day)
-    if days.size > 1:
-        part = (np.arange(days.size) * min(_FOLDS, days.size) // days.size)[np.searchsorted(days, usable.day)]
-    else:
-        part = np.concatenate([np.arange(n) * _THIRDS // max(n, 1) for n in np.bincount(usable.epoch)])
+    part = even_parts(usable.day, most=_FOLDS)
+    if not np.any(part):  # of one day
+        part = np.concatenate([even_parts(np.arange(n), most=_THIRDS) for n in np.bincount(usable.epoch)])
     system, scales, size = fit.system, fit.scales, fit.system.at.size
     part_of_bin = np.zeros(system.rows.shape[0], dtype=np.int64)
     part_of_bin[fit.member] = part  # bins are of one day; one of two thirds goes to the later one

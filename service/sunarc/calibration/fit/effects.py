@@ -20,7 +20,7 @@ from sunarc.calibration.model.sightings import Kind, Sightings, grid_steps_px
 from sunarc.calibration.noise import lag_one, neighbours
 from sunarc.calibration.solve.priors import LENS, STRETCH, with_wide_pixels
 from sunarc.calibration.solve.problem import Block, FitProblem, by_elevation
-from sunarc.common.array_types import BoolArray, FloatArray, IntArray
+from sunarc.common.array_types import BoolArray, FloatArray, even_parts
 from sunarc.common.robust_statistics import counted_roots
 from sunarc.common.utc import DAY_S
 from sunarc.optics.camera import Param
@@ -73,8 +73,8 @@ class _View(NamedTuple):
     stretch (n, 2, 2): px by the wide prior's aspect and skew. by_direction (n, 2, 3), rise (n, 2): px per unit of the
     direction, and per radian that it rises. focal (n, 2): px by a focal length twice as long. outwards (n, 2), radius
     (n,): unit vectors away from the principal point, and the distance to it over that of the horizon. off (n, 2): px by
-    which the sightings lie beside it. n_days, day (n,): how many days, and which of them, from 0. hours (n,): from the
-    mean time of each day's sightings.
+    which the sightings lie beside it. n_days: how many days. hours (n,): from the mean time of each day's
+    sightings.
     """
 
     seen: Sightings
@@ -87,13 +87,12 @@ class _View(NamedTuple):
     radius: FloatArray
     off: FloatArray
     n_days: int
-    day: IntArray
     hours: FloatArray
 
     def runs(self, most: int) -> BoolArray:
         """Return (n, k): which sightings are of each run of days, of so many at most."""
-        count = min(self.n_days, most)
-        return np.asarray((self.day * count // self.n_days)[:, None] == np.arange(count))
+        part = even_parts(self.seen.day, most=most)
+        return np.asarray(part[:, None] == np.arange(part.max() + 1))
 
     def turned(self, sd_deg: float) -> FloatArray:
         """Return (n, 2, 3): displacements where the camera is turned about east, north and up by an angle."""
@@ -244,7 +243,6 @@ def _view(problem: FitProblem, unknowns: FloatArray, observed: Sightings) -> _Vi
         np.zeros(n),
         np.zeros((n, 2)),
         days.size,
-        day,
         (times - (np.bincount(day, times) / np.bincount(day))[day]) / 3600.0,
     )
     for epoch in range(problem.n_epochs):

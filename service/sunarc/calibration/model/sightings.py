@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sunarc.common.array_types import BoolArray, FloatArray, IntArray, NameArray, Rows
+from sunarc.common.array_types import BoolArray, FloatArray, IntArray, NameArray, Rows, even_parts
 from sunarc.common.errors import InputError
 from sunarc.common.findings import Finding
 from sunarc.optics.camera import inside_image
@@ -399,11 +399,10 @@ def _of_the_air(points: Sightings, directions: FloatArray, day: IntArray, site: 
     n, other, measured = len(points), points.kind != Kind.SUN, np.isfinite(points.temperature)
     night = np.zeros(n, dtype=np.bool_)
     night[other] = sun_angles(points.unix_s[other], site).apparent_zenith > _NIGHT_ZENITH_DEG
-    days, number = np.unique(day, return_inverse=True)
-    runs = min(days.size, _AIR_RUNS)
-    share = np.zeros((n, 2 + runs))  # of the refraction
+    run = even_parts(day, most=_AIR_RUNS)
+    share = np.zeros((n, 3 + int(run.max(initial=-1))))  # of the refraction
     share[:, 0], share[:, 1] = MEASURED_AIR_SD * measured, ASSUMED_AIR_SD * ~measured
-    share[np.arange(n), 2 + number * runs // max(days.size, 1)] = DAILY_AIR_SD * ~measured
+    share[np.arange(n), 2 + run] = DAILY_AIR_SD * ~measured
     share *= refraction_rad(directions, site)[:, None]
     return {"night": night, "refraction_sd": share}
 

@@ -1,18 +1,19 @@
-"""What widens the stated uncertainty of a fit: a pose that differs from day to day, contradictions."""
+"""Enlargement of the stated uncertainty of a fit: spread of daily poses, contradictions, error of the clock."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sunarc.calibration.answers.covariance import pose_error, rotation_covariance, sky_sigma_deg, with_covariance
-from sunarc.calibration.model.result import Calibration, with_finding
+from sunarc.calibration.model.result import Calibration
 from sunarc.common.array_types import FloatArray
-from sunarc.common.findings import Finding
+from sunarc.common.findings import Data
 from sunarc.optics.camera import POSE
 from sunarc.sky.site import EARTH_RATE
 
@@ -61,62 +62,41 @@ def _widened(calibration: Calibration, sign: float, spread_deg: ArrayLike) -> Ca
     return with_pose_errors(calibration, sign * rotation_covariance(calibration.camera, enu_covariance))
 
 
-def with_clock(calibration: Calibration, clock_error_s: float | None, *, assumed: bool = False) -> Calibration:
-    """Return a calibration whose uncertainty holds an error of the clock that is stated for all of its sightings.
+class UnboundedClock(NamedTuple):
+    """Fit of sightings for whose clock no bound is stated."""
 
-    The sun, the planets and the stars turn about the pole alike: no residual shows a constant error. Where none is
-    stated, an accepted verdict says what is assumed.
+    calibration: Calibration
+    step_s: float = 0.0
+    """Step of the grid that their times are on, s, see `time_step_s`; 0 of times on none."""
 
-    Parameters
-    ----------
-    calibration : as it was fitted; the pose of a known lens has the clock of its sightings.
-    clock_error_s : the bound, s; None where none is stated.
-    assumed : whether the bound that the sightings carry is a default that nobody stated.
-    """
+
+def half_a_step(clock: UnboundedClock) -> Data:
+    """Return the error of the clock that is assumed of times on a grid; 0 of times on none."""
+    return {"clock_error_s": 0.5 * clock.step_s}
+
+
+def assumed_clock(clock: UnboundedClock) -> Data | None:
+    """Return the error of the clock that is assumed, with its effect; None of the pose of a known lens."""
+    if clock.calibration.evidence.options.get("free") == "pose":
+        return None
+    a_minute_deg, latitude = math.degrees(60.0 * EARTH_RATE), math.radians(clock.calibration.site.latitude)
+    return {
+        "clock_error_s": clock.calibration.evidence.clock_error_s,
+        "turn_deg_per_minute": a_minute_deg,
+        "north_deg_per_minute": a_minute_deg * abs(math.sin(latitude)),
+        "tilt_deg_per_minute": a_minute_deg * math.cos(latitude),
+    }
+
+
+def with_clock_error(calibration: Calibration, clock_error_s: float) -> Calibration:
+    """Return a calibration whose uncertainty holds a bound of the clock, s, for all of its sightings."""
     evidence = calibration.evidence
-    if clock_error_s is None:
-        if evidence.clock_stated and not assumed:
-            return calibration
-        unstated = replace(calibration, evidence=replace(evidence, clock_stated=False))
-        first = calibration.verdict.accepted and evidence.options.get("free") != "pose"
-        return with_finding(unstated, _unbounded(unstated)) if first else unstated
     known_s = evidence.clock_error_s if evidence.clock_stated else 0.0
     beyond_s = math.sqrt(max(clock_error_s**2 - known_s**2, 0.0))
     more = pose_error(calibration.camera, calibration.site, clock_error_s=beyond_s, site_error_m=0.0)
     stated = replace(evidence, clock_error_s=max(clock_error_s, known_s), clock_stated=True, clock_beyond_s=beyond_s)
     return replace(
         with_pose_errors(calibration, more), evidence=stated, sky_rms_without_clock_deg=calibration.sky_rms_deg
-    )
-
-
-def with_whole_minutes(calibration: Calibration, step_s: float) -> Calibration:
-    """Return a calibration of which no bound of the clock is stated, its times being on a grid: half a step is assumed.
-
-    Parameters
-    ----------
-    calibration : as it was fitted.
-    step_s : see `time_step_s`; 0 of times on none.
-    """
-    if step_s == 0.0:
-        return calibration
-    assumed = with_clock(calibration, 0.5 * step_s)
-    assumed = replace(assumed, evidence=replace(assumed.evidence, clock_stated=False))
-    if not calibration.verdict.accepted:
-        return assumed
-    return with_finding(assumed, Finding("times_without_seconds", {"clock_error_s": 0.5 * step_s}))
-
-
-def _unbounded(calibration: Calibration) -> Finding:
-    a_minute_deg = math.degrees(60.0 * EARTH_RATE)
-    latitude = math.radians(calibration.site.latitude)
-    return Finding(
-        "clock_unbounded",
-        {
-            "clock_error_s": calibration.evidence.clock_error_s,
-            "turn_deg_per_minute": a_minute_deg,
-            "north_deg_per_minute": a_minute_deg * abs(math.sin(latitude)),
-            "tilt_deg_per_minute": a_minute_deg * math.cos(latitude),
-        },
     )
 
 

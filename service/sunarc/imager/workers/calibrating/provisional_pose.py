@@ -18,7 +18,7 @@ from sunarc.calibration.model.options import CalibrationOptions, FirstPoseOption
 from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S, Sightings
 from sunarc.calibration.pose import estimate_pose
-from sunarc.calibration.quality.widening import with_clock
+from sunarc.calibration.verdict import with_clock
 from sunarc.common.errors import InputError
 from sunarc.formats.calibration_document import to_document
 from sunarc.formats.lens_prior import read_lens_type

@@ -23,9 +23,9 @@ from sunarc.calibration.projection_choice import options_as_served
 from sunarc.calibration.quality.day_quality import days_left_out
 from sunarc.calibration.quality.fit_checks import is_tilt_shown
 from sunarc.calibration.quality.tilt import LEVEL_DEG, proposed_limit_deg
-from sunarc.calibration.quality.widening import with_clock, with_pose_spread
+from sunarc.calibration.quality.widening import with_pose_spread
 from sunarc.calibration.selection import Selection, SelectionOptions, select_sightings, surest_of_epochs
-from sunarc.calibration.verdict import accept, provisional
+from sunarc.calibration.verdict import accept, provisional, with_clock
 from sunarc.common.array_types import IntArray
 from sunarc.common.errors import InputError, NotFoundError
 from sunarc.common.findings import Data, Finding
