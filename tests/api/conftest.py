@@ -64,10 +64,15 @@ REFUSED = Finding("cross_validation_rmse", {"rmse_px": 0.4, "expected_px": 0.1})
 
 
 def document(
-    name: str, *, accepted: bool = True, valid_from: datetime = NOON - timedelta(days=1), camera: Camera = LENS
+    name: str,
+    *,
+    accepted: bool = True,
+    valid_from: datetime = NOON - timedelta(days=1),
+    camera: Camera = LENS,
+    solved: Calibration | None = None,
 ) -> dict[str, Any]:
     """Return a calibration document."""
-    solved = calibration(camera)
+    solved = solved or calibration(camera)
     if not accepted:
         solved = refused(solved, REFUSED)
     return to_document(

@@ -19,11 +19,11 @@ import pytest
 import uvicorn
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page, sync_playwright
-from tests.api.conftest import LENS, NOON, REFUSED, write_image
-from tests.fixtures.calibrations import SITE
+from tests.api.conftest import LENS, NOON, REFUSED, TOKEN, document, write_image
+from tests.fixtures.calibrations import SITE, chosen_calibration
 
 from sunarc.common.findings import Finding
-from sunarc.imager.archive.values import Event, SunPoint
+from sunarc.imager.archive.values import TO_ACKNOWLEDGE, Event, SunPoint
 from sunarc.imager.runtime.status import Reason, condition
 from sunarc.optics.forward import project
 from sunarc.optics.inverse import unproject
@@ -71,7 +71,8 @@ def test_every_place_that_the_scripts_fill_is_on_the_page(made: Made) -> None:
 
 def test_every_route_that_the_scripts_ask_is_served(made: Made) -> None:
     written = re.findall(r'(?:ask|askImage|listen)\(["`](/[^"?`]+)', code())
-    asked = {path.replace("${date}", "{night}") for path in written}  # of a night
+    names = {"${date}": "{night}", "${event.id}": "{event_id}", "${side}": "{side}"}
+    asked = {re.sub(r"\$\{[\w.]+\}", lambda found: names[found[0]], path) for path in written}
     assert asked <= set(made.client.get("/openapi.json").json()["paths"])
     assert asked >= {"/v1/overlay", "/v1/difference", "/v1/geolocate", "/v1/image/latest", "/v1/events/stream"}
 
@@ -227,7 +228,7 @@ def shows_conditions_by_their_codes(page: Page, made: Made) -> None:
     page.wait_for_selector("#reasons li[data-code=no_frame_yet]", timeout=10_000)
     assert page.query_selector("#reasons li[data-code=no_frame_yet] .action") is None  # its action is "none"
     assert "[object" not in page.inner_text("body")
-    assert page.get_attribute("#health", "data-health") == "degraded"
+    assert page.get_attribute("#health", "data-health") == "attention"
     made.board.set_condition("images_unreadable", None)
     made.board.set_condition("no_frame_yet", None)
     page.wait_for_selector("#health[data-health=ready]", timeout=10_000)
@@ -511,11 +512,57 @@ def test_expected_and_seen_are_of_the_time_of_the_picture(make: Any, tmp_path: P
         page = opened(chromium, address).page
         shown(page)
         page.wait_for_selector("#overlay .seen", state="attached")
-        assert (
-            page.inner_text("#sky-time") == "Picture taken 2013-05-13 18:00:00 UTC · 2013-05-14 06:00 Pacific/Auckland"
-        )
+        both = "2013-05-13 18:00:00 UTC · 2013-05-14 06:00 Pacific/Auckland"
+        assert page.inner_text("#sky-time") == f"Picture taken {both} (30 min ago)"
         assert page.evaluate(MARKER) == pytest.approx(sun.tolist(), abs=1.0)
         assert page.evaluate(MARKER.replace("path.expected", ".seen")) == pytest.approx(sun.tolist(), abs=1.0)
         assert float(np.hypot(*(sun - project(LENS, sun_directions(NOON.timestamp(), SITE))))) > 30.0
         assert re.search(r"\d px apart, 1-sigma 0\.\d+ px per axis", page.inner_text("#sun"))
         assert "18:30:00 UTC" in page.inner_text("#replay")
+
+
+@pytest.mark.browser
+@in_a_browser
+def test_a_change_of_the_camera_stays_on_top_until_it_is_acknowledged_with_the_token(pictured: Made) -> None:
+    moved = Event(
+        time=NOON, kind="bump", severity="alarm", text="moved by 2.5°", camera="roof", details={TO_ACKNOWLEDGE: True}
+    )
+    with serving(pictured) as address, browser() as chromium:
+        page = opened(chromium, address).page
+        shown(page)
+        assert page.is_hidden("#moves")
+        pictured.archive.events.add(moved)
+        page.wait_for_selector("#moves h2 >> text=moved by 2.5°", timeout=10_000)
+        is_accessible(page)
+        page.fill("#moves input[type=password]", "not the token")
+        page.click("#moves button")
+        page.wait_for_selector("#moves [role=status]:not(:empty)")
+        page.fill("#moves input[type=password]", TOKEN)
+        page.click("#moves button")
+        page.wait_for_selector("#moves", state="hidden", timeout=10_000)
+    (stored,) = pictured.archive.events.find("roof", kind="bump")
+    assert (stored.details["acknowledged_because"], stored.to_acknowledge) == ("seen", False)
+
+
+@pytest.mark.browser
+@in_a_browser
+def test_a_map_with_uncertain_parts_has_classes_and_is_ready_for_a_share_of_the_sky(make: Any, picture: Path) -> None:  # noqa: ANN401 - a fixture that is a function
+    made: Made = make(image=picture)
+    names = ("principal_point_x_px", "principal_point_y_px", "rotation_x", "rotation_y", "rotation_z", "k2", "k5")
+    wide = np.diag([4.0, 4.0, 1e-5, 1e-5, 1e-5, 1e-5, 8e-2])
+    known = chosen_calibration(LENS, names=names, covariance=wide, orders=np.array([[1, 1], [2, 1]]))
+    written = document("few", solved=known)
+    made.archive.calibrations.activate(made.archive.calibrations.add(written).id)
+    made.board.note(last_frame_at=NOON)
+    found = made.client.get("/v1/uncertainty").json()
+    values = [value for row in found["sigma_deg"] for value in row if value is not None]
+    assert max(values) > 10.0
+    assert 0.3 < found["share_within"] < 0.7
+    with serving(made) as address, browser() as chromium:
+        page = opened(chromium, address).page
+        page.wait_for_selector("#sigma path", state="attached")
+        page.wait_for_selector(f"#health-word >> text=Ready for {int(100 * found['share_within'])} % of the sky")
+        assert len(page.query_selector_all("#sigma path[class^=shade]")) == 6
+        ends = [float(one) for one in re.findall(r"≤ ([\d.]+)°", page.inner_text("#sigma-scale"))]
+        assert ends == sorted(ends)
+        assert max(values) <= ends[-1] < 1.1 * max(values)

@@ -1,11 +1,15 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import pytest
 from prometheus_client.parser import text_string_to_metric_families
+from tests.api.conftest import LENS
 
 from sunarc.imager.runtime.status import Reason
+from sunarc.optics.mounting import pose_text
+from sunarc.optics.pose import pose_angles
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made
@@ -139,3 +143,13 @@ def test_what_is_not_known_has_no_number(empty: Made) -> None:
 
 def test_two_applications_do_not_share_their_numbers(made: Made, empty: Made) -> None:
     assert numbers(made)["sunarc_calibration_present", ()] != numbers(empty)["sunarc_calibration_present", ()]
+
+
+def test_the_status_has_the_pose_in_words_and_angles_and_the_sites_zone(make: Any) -> None:  # noqa: ANN401 - a fixture that is a function
+    made: Made = make(history="filled", timezone="Pacific/Auckland")
+    told = made.client.get("/v1/status").json()
+    assert (told["timezone"], told["is_replay"]) == ("Pacific/Auckland", False)
+    angles = pose_angles(LENS.rotation_cam_enu)
+    assert told["pose"]["theta_zz_deg"] == pytest.approx(angles.theta_zz_deg)
+    assert told["pose"]["text"] == pose_text(LENS)
+    assert make(history="empty").client.get("/v1/status").json()["pose"] is None

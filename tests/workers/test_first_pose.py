@@ -14,7 +14,7 @@ from tests.fixtures.archive import make_empty
 from tests.workers.test_watch import DAY, NOON, SIZE, TRUTH, Imager, off_in_sigmas, turned
 
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.lens_library.first_pose import north_sigma_deg, top_azimuth_deg
+from sunarc.calibration.lens_library.first_pose import north_sigma_deg
 from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread, frame_of, type_camera
 from sunarc.calibration.model.options import CalibrationOptions, FirstPoseOptions
 from sunarc.calibration.model.result import Calibration
@@ -31,6 +31,7 @@ from sunarc.imager.workers.options import LensPriorOptions
 from sunarc.lab.simulation.truth import SGP
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
+from sunarc.optics.mounting import top_azimuth_deg
 from sunarc.sky.sun import sun_angles, sun_directions
 
 SPREAD = UnitSpread(focal_length=0.003, center_px=8.0, radial_px=0.4, decentering_px=0.3)

@@ -11,12 +11,13 @@ from tests.calibration.conftest import SGP, SIZE, simulate
 from tests.fixtures.stored_answers import require_stored, said
 
 from sunarc.calibration.lens_library.conditioning import with_lens
-from sunarc.calibration.lens_library.first_pose import first_pose, north_sigma_deg, top_azimuth_deg
+from sunarc.calibration.lens_library.first_pose import first_pose, north_sigma_deg
 from sunarc.calibration.lens_library.joint import Entry, calibrate_jointly
 from sunarc.calibration.lens_library.lens_type import LensType
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
+from sunarc.optics.mounting import top_azimuth_deg
 
 if TYPE_CHECKING:
     import pytest

@@ -217,6 +217,12 @@ def sky_sigma_deg(calibration: Calibration) -> tuple[float, float]:
     return float(np.sqrt(np.mean(sigma**2))), float(np.max(sigma))
 
 
+def sky_share_within(calibration: Calibration, limit_deg: float) -> float:
+    """Return the share of the sky seen in which the 1-sigma is at most a limit; NaN where no sky is seen."""
+    seen = seen_sky(calibration.camera)
+    return float(np.mean(sigma_deg(calibration, seen) <= limit_deg)) if seen.size else math.nan
+
+
 def with_covariance(calibration: Calibration, covariance: FloatArray) -> Calibration:
     """Return a calibration whose parameters have another covariance (p, p), by errors independent of the others."""
     changed = replace(calibration, covariance=covariance)

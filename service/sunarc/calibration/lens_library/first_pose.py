@@ -52,7 +52,7 @@ from sunarc.common.findings import Finding
 from sunarc.common.robust_statistics import finite
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project_fast
-from sunarc.optics.inverse import unproject
+from sunarc.optics.mounting import top_azimuth_deg
 from sunarc.optics.pose import rotation_between, rotation_matrix, rotation_vector, smallest_rotation
 from sunarc.sky.directions import wrapped_deg
 from sunarc.sky.site import Site
@@ -71,15 +71,6 @@ def level(camera: Camera, azimuth_rad: float) -> Camera:
 def levelling(camera: Camera) -> FloatArray:
     """Return the smallest rotation (3,) about a camera's own axes, radians, that points it at the zenith."""
     return smallest_rotation(rotation_matrix(camera.rotation_cam_enu)[:, 2], np.array([0.0, 0.0, 1.0]))
-
-
-def top_azimuth_deg(camera: Camera) -> float:
-    """Return the azimuth at the top of the image, degrees clockwise from north: that of 30 degrees off the axis."""
-    focal = camera.focal_length_px[1]
-    x, y = camera.principal_point_px
-    x = camera.width - 1.0 - x if camera.mirrored else x
-    east, north, _ = unproject(camera, np.array([x, y - 0.5 * focal]))
-    return math.degrees(math.atan2(east, north)) % 360.0
 
 
 def north_sigma_deg(calibration: Calibration) -> float:

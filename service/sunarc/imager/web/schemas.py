@@ -349,6 +349,16 @@ class Readiness(BaseModel):
     findings: FindingsJson
 
 
+class Pose(BaseModel):
+    """Pose of the camera by its current calibration, in words and in the angles of the paper's Table 2."""
+
+    text: Annotated[str, described("In words.", "image top points to azimuth 214°, tilted 1.2° to the south-west")]
+    phi_xz_deg: Annotated[float, described("Azimuth of the x axis, counter-clockwise from east, degrees.", 47.9)]
+    theta_zz_deg: Annotated[float, described("Tilt of the optical axis from the vertical, degrees.", 2.5)]
+    psi_z_deg: Annotated[float, described("Azimuth of the tilt, clockwise from north, degrees.", 140.2)]
+    top_azimuth_deg: Annotated[float, described("Azimuth at the top of the image, degrees.", 214.0)]
+
+
 class Status(BaseModel):
     """State of the service, its workers, camera, clock and disk, and the current calibration."""
 
@@ -375,5 +385,6 @@ class Status(BaseModel):
     last_frame_at: Annotated[Time | None, described("Time of the newest frame.", EXAMPLE_TIME)]
     last_sighting_at: Annotated[Time | None, described("Time of the newest accepted sighting.", EXAMPLE_TIME)]
     calibration: Annotated[CalibrationSummary | None, described("The current calibration; null without one.")]
+    pose: Annotated[Pose | None, described("The pose by it; null without one.")]
     last_day: Annotated[DayWithAir | None, described("The newest day that has a verdict; null without one.")]
     image_size: Annotated[Size | None, described("Width, height of the camera's image, px.", [1748, 1748])]

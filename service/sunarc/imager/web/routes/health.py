@@ -15,6 +15,9 @@ from sunarc.imager.web.context import ApiContext
 from sunarc.imager.web.problems import Fault, answers, problem_response
 from sunarc.imager.web.routes.calibrations import summary
 from sunarc.imager.web.routes.record import days_out
+from sunarc.optics.camera import Camera
+from sunarc.optics.mounting import pose_text, top_azimuth_deg
+from sunarc.optics.pose import pose_angles
 
 
 def health_routes(context: ApiContext, registry: CollectorRegistry) -> APIRouter:
@@ -76,7 +79,8 @@ def _not_ready(snapshot: StatusSnapshot, path: str) -> JSONResponse:
 
 def _status(context: ApiContext) -> schemas.Status:
     snapshot = context.status()
-    record = context.archive.calibrations.current(context.camera)
+    found = context.calibration_or_none(None)
+    record = None if found is None else found[0]
     days = days_out(context, context.archive.days.find(context.camera, limit=1))
     camera = context.archive.cameras.get(context.camera)
     return schemas.Status(
@@ -91,9 +95,15 @@ def _status(context: ApiContext) -> schemas.Status:
         timezone=context.timezone,
         disk_free_bytes=None if snapshot.disk is None else snapshot.disk.free_bytes,
         calibration=None if record is None else summary(record),
+        pose=None if found is None else _pose(found[1].camera),
         last_day=days[0] if days else None,
         image_size=None if camera is None else list(camera.image_size),
     )
+
+
+def _pose(camera: Camera) -> schemas.Pose:
+    angles = pose_angles(camera.rotation_cam_enu)._asdict()
+    return schemas.Pose(text=pose_text(camera), top_azimuth_deg=top_azimuth_deg(camera), **angles)
 
 
 def camera_list_routes(context: ApiContext) -> APIRouter:

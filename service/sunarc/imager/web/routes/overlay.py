@@ -12,7 +12,8 @@ from fastapi.responses import Response
 from pydantic import BaseModel, Field
 from scipy.spatial.transform import Rotation
 
-from sunarc.calibration.answers.covariance import unproject_with_sigma
+from sunarc.calibration.answers.covariance import sky_share_within, unproject_with_sigma
+from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.common.array_types import FloatArray
 from sunarc.common.errors import InputError
@@ -73,6 +74,11 @@ class Uncertainty(BaseModel):
         description="1-sigma per axis on the sphere, degrees; a row for each y; null outside the field.",
         examples=[[[None, 0.004], [0.004, 0.003]]],
     )
+    limit_deg: float = Field(description="1-sigma beyond which a fit is refused over the sky, degrees.", examples=[1.5])
+    share_within: float | None = Field(
+        description="Share of the sky seen whose 1-sigma is at most `limit_deg`; null where no sky is seen.",
+        examples=[0.97],
+    )
 
 
 class Difference(BaseModel):
@@ -98,6 +104,8 @@ class Difference(BaseModel):
     )
 
 
+_LIMIT_DEG = CalibrationOptions().max_sky_deg
+"""1-sigma that a fit may have over the sky, degrees."""
 _CIRCLES_DEG = (30.0, 60.0, 90.0)
 _NAMES = {0: "N", 90: "E", 180: "S", 270: "W"}
 _AROUND_DEG = np.arange(0.0, 361.0, 3.0)
@@ -221,7 +229,15 @@ def _uncertainty(calibration: Calibration, cells: int, calibration_id: str) -> U
     with np.errstate(all="ignore"):  # what lies outside the field is answered with null
         _, sigma, inside = unproject_with_sigma(calibration, pixels)
     rows = np.where(inside, sigma, np.nan).reshape(len(y), len(x))
-    return Uncertainty(calibration=calibration_id, x_px=x.tolist(), y_px=y.tolist(), sigma_deg=_finite(rows))
+    share = sky_share_within(calibration, _LIMIT_DEG)
+    return Uncertainty(
+        calibration=calibration_id,
+        x_px=x.tolist(),
+        y_px=y.tolist(),
+        sigma_deg=_finite(rows),
+        limit_deg=_LIMIT_DEG,
+        share_within=share if math.isfinite(share) else None,
+    )
 
 
 def _difference(calibration: Calibration, other: Calibration, cells: int, ids: tuple[str, str]) -> Difference:

@@ -26,6 +26,15 @@ export const ask = async (path, body = null) => {
   return (await fetched(path, how))?.json() ?? null;
 };
 
+// Acknowledge an event with the token of an operator; the problem in words, null where there is none.
+export async function acknowledge(event, token, reason) {
+  const headers = { "content-type": "application/json", authorization: `Bearer ${token}` };
+  const answer = await fetch(`/v1/events/${event}/acknowledge`, { method: "POST", signal: AbortSignal.timeout(SLOW_MS), headers, body: JSON.stringify(reason ? { reason } : {}) });
+  if (answer.ok) return null;
+  const problem = await answer.json().catch(() => ({}));
+  return problem.detail ?? problem.title ?? `it was refused (${answer.status})`;
+}
+
 // An image as an address that an element can show, and its time; whoever asked gives it back with URL.revokeObjectURL.
 export async function askImage(path) {
   const answer = await fetched(path);

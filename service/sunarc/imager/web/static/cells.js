@@ -1,12 +1,20 @@
-// Maps over the image in cells. The steps are of a scale that stays the same, 1-2-5 degrees: a shade means the same angle in
-// every map, every camera and every year, light where it is small, dark where it is large (reversed on dark ground).
+// Maps over the image in cells: light where a value is small, dark where it is large (reversed on dark ground). The classes are
+// logarithmic, from the smallest value of the map up to its largest: a map has all shades, whatever the camera.
 import { element, label, node, path, telling } from "./draw.js";
 import { compass } from "./sky.js";
 
-const STEPS_DEG = [0.002, 0.005, 0.01, 0.02, 0.05];
-const SHADES = STEPS_DEG.length + 1;
+const SHADES = 6;
+const WIDEST = 1e3; // between the largest value and the first class
 
-const shade = (value) => { const k = STEPS_DEG.findIndex((step) => value <= step); return k < 0 ? SHADES - 1 : k; };
+// The upper ends of the classes, of two digits; the last holds the largest value.
+function classEnds(rows) {
+  const [least, , most] = span(rows);
+  if (!(most > 0)) return [0];
+  const from = Math.max(least, most / WIDEST);
+  const ends = Array.from({ length: SHADES }, (_, k) => Number((from * (most / from) ** ((k + 1) / SHADES)).toPrecision(2)));
+  const distinct = ends.filter((end, k) => k === 0 || end > ends[k - 1]);
+  return distinct.at(-1) >= most ? distinct : [...distinct.slice(0, -1), Number(most.toPrecision(3))];
+}
 
 // The smallest, the middle and the largest of the values of a map.
 export function span(rows) {
@@ -17,7 +25,9 @@ export function span(rows) {
 export function drawCells(plot, scale, { x_px, y_px, rows }, overlay, [width, height]) {
   plot.setAttribute("viewBox", `-0.5 -0.5 ${width} ${height}`);
   const step = x_px[1] - x_px[0];
-  const cells = Array.from({ length: SHADES }, () => "");
+  const ends = classEnds(rows);
+  const cells = ends.map(() => "");
+  const shade = (value) => { const k = ends.findIndex((end) => value <= end); return k < 0 ? ends.length - 1 : k; };
   rows.forEach((row, n) => row.forEach((value, m) => {
     if (value !== null) cells[shade(value)] += `M${x_px[m] - step / 2} ${y_px[n] - step / 2}h${step}v${step}h${-step}z`;
   }));
@@ -27,7 +37,7 @@ export function drawCells(plot, scale, { x_px, y_px, rows }, overlay, [width, he
   compass(overlay).forEach(([name, at]) => parts.push(label(at, name, width * 0.035, "corner")));
   plot.replaceChildren(...parts);
   scale.replaceChildren(...cells.map((_, k) => {
-    const item = node("span", k < STEPS_DEG.length ? `≤ ${telling(STEPS_DEG[k])}°` : `> ${telling(STEPS_DEG.at(-1))}°`);
+    const item = node("span", `≤ ${telling(ends[k])}°`);
     const key = element("svg", { viewBox: "0 0 10 10", "aria-hidden": "true" });
     key.append(element("rect", { class: `shade-${k}`, width: 10, height: 10 }));
     item.prepend(key);

@@ -6,15 +6,16 @@ import { compare, offerComparison } from "./compare.js";
 import { drawFirst, firstWay } from "./first.js";
 import { drawHistory, spanDays } from "./history.js";
 import { lookUp } from "./lookup.js";
+import { drawMoves } from "./moves.js";
 import { readNights } from "./night.js";
 import { drawResiduals } from "./residuals.js";
-import { drawSigma } from "./sigma.js";
+import { drawSigma, sharePercent } from "./sigma.js";
 import { drawSky, pictureTime, showImage, showPart } from "./sky.js";
 import { Zoom } from "./zoom.js";
 
-const SIGNS = { ready: ["✓", "Ready"], degraded: ["!", "Degraded"], not_ready: ["✕", "Not ready"], unsure: ["!", "Ready, clock not synchronised"], gone: ["✕", "No answer"], locked: ["!", "Locked"] };
-const SHOWN_ELSEWHERE = ["health", "reasons", "findings", "version", "camera_name", "frame_time", "workers", "calibration", "last_day", "image_size", "is_replay", "timezone"];
-const CONDITION_SIGNS = { degraded: "!", not_ready: "✕" };
+const SIGNS = { ready: ["✓", "Ready"], ready_with_note: ["✓", "Ready, with a note"], starting: ["…", "Starting"], attention: ["!", "Attention"], not_serving: ["✕", "Not serving"], gone: ["✕", "No answer"], locked: ["!", "Locked"] };
+const SHOWN_ELSEWHERE = ["health", "state", "state_text", "notes", "pose", "reasons", "findings", "version", "camera_name", "frame_time", "workers", "calibration", "last_day", "image_size", "is_replay", "timezone"];
+const CONDITION_SIGNS = { note: "i", degraded: "!", not_ready: "✕" };
 const NO_ACTION = "none"; // as docs/codes.md has it
 const MOST_POINTS = 1000;
 const SAME_MS = 60000; // a sighting of the picture's cycle
@@ -32,11 +33,14 @@ const COUNTED_DAYS = 366; // as many as are counted at once
 const MOST_HOURLY_DAYS = 31; // of longer spans housekeeping is shown by day
 const known = {
   status: null, points: [], calibrations: [], days: [], nights: [], counts: [], housekeeping: { step: "hour", rows: [] },
-  overlay: null, sun: null, sunInPicture: null, asked: null, site: null, calibration: undefined, residualsBy: undefined, date: null, events: MORE_EVENTS, kinds: new Set(),
+  overlay: null, sun: null, sunInPicture: null, uncertainty: null, asked: null, site: null, calibration: undefined, residualsBy: undefined, date: null, events: MORE_EVENTS, kinds: new Set(),
 };
 
-function showHealth(health, headline) {
-  const [sign, word] = SIGNS[health];
+function showHealth(health, headline, stateText = "") {
+  const [sign, plain] = SIGNS[health];
+  const share = known.uncertainty?.share_within ?? 1;
+  const word = share < 1 && health.startsWith("ready") ? plain.replace("Ready", `Ready for ${sharePercent(known.uncertainty)} % of the sky`) : plain;
+  $("state-text").textContent = stateText;
   $("health").dataset.health = health;
   $("health-sign").textContent = sign;
   if ($("health-word").textContent !== word) $("health-word").textContent = word;
@@ -53,11 +57,10 @@ async function refreshStatus() {
   $("replay").hidden = !status.is_replay;
   $("replay").textContent = status.is_replay ? `▶ replay: its clock shows ${zoned(status.frame_time, status.timezone)}` : "";
   const c = status.calibration;
-  const quality = c ? `calibrated ${ago(c.created_at, status.frame_time)}, direction uncertainty ${telling(c.sky_rms_deg, "°")}` : "not calibrated yet";
+  const quality = c ? `calibrated ${ago(c.created_at, status.frame_time)}, direction uncertainty ${telling(c.sky_rms_deg, "°")}` : known.calibrations.length ? "no calibration serves" : "not calibrated yet";
   const seen = status.last_sighting_at ? `last sighting ${ago(status.last_sighting_at, status.frame_time)}` : "no sighting yet";
-  const health = status.health === "ready" && status.clock?.synchronised === false ? "unsure" : status.health;
-  showHealth(health, [...lastClearDay(), quality, seen].join(" · "));
-  $("reasons").replaceChildren(...status.reasons.map(condition));
+  showHealth(status.state, [...lastClearDay(), quality, seen].join(" · "), status.state === "ready" ? "" : status.state_text);
+  $("reasons").replaceChildren(...[...status.reasons, ...status.notes].map(condition));
   fillRows("workers", status.workers.map((w) => [
     w.name, judged(w.state), fixed(w.heartbeat_age_s, 0, " s ago"), w.last_error ? `${w.restarts} (${w.last_error})` : String(w.restarts),
   ]), "No worker has started.");
@@ -94,7 +97,9 @@ function condition({ code, severity, text, remedy, since }) {
   const item = node("li");
   item.dataset.code = code;
   item.dataset.severity = severity;
-  item.append(node("b", `${CONDITION_SIGNS[severity]} ${text}.`));
+  const sign = known.status?.state === "starting" ? "…" : CONDITION_SIGNS[severity];
+  const isInHeader = remedy !== NO_ACTION && text === known.status?.state_text;
+  item.append(node("b", isInHeader ? sign : `${sign} ${text}.`));
   if (remedy !== NO_ACTION) item.append(node("span", `What to do: ${remedy}. `, "action"));
   if (since) item.append(node("small", `since ${moment(since)} `));
   item.append(node("code", code));
@@ -105,11 +110,13 @@ function factsOf(status) {
   const { camera, clock } = status;
   const facts = {
     Camera: camera ? `${camera.connected ? "✓ connected" : "✕ not connected"} ${[camera.model, camera.serial, camera.address].filter(Boolean).join(", ")}` : "not known yet",
+    Pose: status.pose ? `${status.pose.text} (φxz ${fixed(status.pose.phi_xz_deg, 2)}°, θzz ${fixed(status.pose.theta_zz_deg, 2)}°, ψz ${fixed(status.pose.psi_z_deg, 1)}°)` : "not known yet",
     "Last frame": `${moment(status.last_frame_at)} (${ago(status.last_frame_at, status.frame_time)})`,
     "Last sighting": `${moment(status.last_sighting_at)} (${ago(status.last_sighting_at, status.frame_time)})`,
     Clock: clock && clock.synchronised !== null ? `${clock.synchronised ? "✓ synchronised" : "! not synchronised"}${clock.max_error_s === null ? "" : `, within ${telling(clock.max_error_s)} s`}` : "not known yet",
     "Disk free": status.disk_free_bytes === null ? "not known yet" : bytes(status.disk_free_bytes),
     "Running since": moment(status.started_at),
+    "Time now": `${zoned(status.frame_time, status.timezone)}${status.is_replay ? ", of a replay" : ""}`,
   };
   return facts;
 }
@@ -145,7 +152,9 @@ async function refreshSky() {
     known.overlay = await ask("/v1/overlay");
     known.calibration = sun.calibration;
     known.date = sun.time.slice(0, 10);
-    drawSigma(sun.calibration ? await ask("/v1/uncertainty") : null, known.overlay, known.status?.image_size);
+    known.uncertainty = sun.calibration ? await ask("/v1/uncertainty") : null;
+    drawSigma(known.uncertainty, known.overlay, known.status?.image_size);
+    refresh(refreshStatus);
     redrawResiduals();
   }
   showSun();
@@ -184,11 +193,11 @@ function showSun() {
   const last = known.points.find((point) => point.accepted);
   const zone = known.status?.timezone;
   const taken = pictureTime();
-  $("sky-time").textContent = taken ? `Picture taken ${zoned(taken, zone)}` : "";
+  $("sky-time").textContent = taken ? `Picture taken ${zoned(taken, zone)} (${ago(taken, sun.time)})` : "";
   if (taken) $("sky-time").dataset.time = taken;
   fillFacts("sun", {
     "Sun now": `apparent zenith ${fixed(sun.apparent_zenith, 3, "°")}, azimuth ${fixed(sun.azimuth, 3, "°")} (${zoned(sun.time, zone)})`,
-    "Expected now": sun.pixel ? `${pixelText(sun.pixel)} ± ${telling(sun.sigma_px, " px")}` : sun.calibration ? "outside the camera's field" : "no calibration yet",
+    "Expected now": sun.pixel ? `${pixelText(sun.pixel)} ± ${telling(sun.sigma_px, " px")}` : sun.apparent_zenith > 90 ? "below the horizon" : sun.calibration ? "outside the camera's field" : "no calibration yet",
     "Last sighting at": last ? sightingText(last, zone) : "not yet",
   });
 }
@@ -271,6 +280,11 @@ async function refreshEvents() {
   $("events-older").hidden = events.length < known.events || known.events >= MOST_EVENTS;
 }
 
+async function refreshMoves() {
+  const { events } = await ask("/v1/events?to_acknowledge=true&limit=20");
+  drawMoves(events, known.status?.timezone, () => [refreshMoves, refreshStatus, refreshRecord].forEach(refresh));
+}
+
 function findingsOf(calibration) {
   const cell = document.createElement("span");
   const link = node("a", calibration.id);
@@ -308,11 +322,11 @@ async function refresh(what) {
 
 // What a message of the stream says is out of date.
 const STALE = {
-  state: [refreshStatus, refreshSky, refreshRecord],
+  state: [refreshStatus, refreshSky, refreshMoves, refreshRecord],
   calibration: [refreshStatus, refreshSky, refreshResiduals, refreshRecord],
-  bump: [refreshStatus, refreshRecord],
+  bump: [refreshStatus, refreshMoves, refreshRecord],
   day: [refreshStatus, refreshRecord],
-  event: [refreshRecord],
+  event: [refreshMoves, refreshRecord],
 };
 
 // The stream begins with the state: what the page has just asked for is not asked again.
@@ -334,7 +348,7 @@ $("token-form").addEventListener("submit", (event) => {
   event.preventDefault();
   keepToken($("token").value.trim());
   $("token").value = "";
-  [refreshStatus, refreshSky, refreshResiduals, refreshRecord, readSite].forEach(refresh);
+  [refreshStatus, refreshSky, refreshMoves, refreshResiduals, refreshRecord, readSite].forEach(refresh);
 });
 window.addEventListener("resize", () => { redrawResiduals(); redrawHistory(); });
 $("history-span").addEventListener("change", () => { redrawHistory(); refresh(refreshRecord); });
@@ -349,6 +363,7 @@ for (const [id, act] of [["ask-form", () => refresh(askSky)], ["compare-form", (
 document.querySelectorAll("input[name=unit]").forEach((input) => input.addEventListener("change", redrawResiduals));
 await refresh(refreshStatus);
 await refresh(refreshSky);
+refresh(refreshMoves);
 await refresh(refreshResiduals);
 refresh(refreshRecord).then(() => refresh(refreshStatus)); // the headline names the last clear day
 refresh(readSite);

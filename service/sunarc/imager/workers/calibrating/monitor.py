@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sunarc.calibration.lens_library.first_pose import north_sigma_deg, top_azimuth_deg
+from sunarc.calibration.lens_library.first_pose import north_sigma_deg
 from sunarc.calibration.model.pose_change import PoseChange
 from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
@@ -50,6 +50,7 @@ from sunarc.imager.workers.calibrating.provisional_pose import (
     is_provisional,
 )
 from sunarc.imager.workers.calibrating.solver_process import points_of
+from sunarc.optics.mounting import top_azimuth_deg
 from sunarc.sky.days import day_bounds_unix_s, solar_date
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles, sun_directions

@@ -1,0 +1,64 @@
+// Moves and changes of the camera that wait for an operator: on top, with the pictures before and after.
+import { acknowledge, askImage } from "./ask.js";
+import { $, node, zoned } from "./draw.js";
+
+const SIDES = ["before", "after"];
+
+export function drawMoves(events, zone, done) {
+  $("moves").hidden = !events.length;
+  const shown = new Map([...$("moves").children].map((one) => [one.dataset.event, one]));
+  $("moves").replaceChildren(...events.map((event) => shown.get(String(event.id)) ?? entry(event, zone, done)));
+}
+
+function entry(event, zone, done) {
+  const one = node("article");
+  one.dataset.event = event.id;
+  const title = node("h2", `! ${event.text}`);
+  one.append(title, node("p", zoned(event.time, zone), "sum"), pictures(event, zone), form(event, done));
+  return one;
+}
+
+function pictures(event, zone) {
+  const both = node("div", "", "halves");
+  for (const side of SIDES) {
+    const figure = node("figure");
+    figure.hidden = true;
+    both.append(figure);
+    askImage(`/v1/events/${event.id}/pictures/${side}?horizon=true&width=640`).then((found) => {
+      if (!found) return;
+      const image = node("img");
+      image.src = found.address;
+      image.alt = `Picture ${side} the change, with the horizon by the calibration of then`;
+      figure.append(image, node("figcaption", `${side[0].toUpperCase()}${side.slice(1)}: ${zoned(found.time, zone)}`));
+      figure.hidden = false;
+    }).catch(() => {});
+  }
+  return both;
+}
+
+function form(event, done) {
+  const made = node("form", "", "fields");
+  const [token, reason] = [field(made, "Token", "password"), field(made, "Reason", "text")];
+  token.required = true;
+  token.autocomplete = "off";
+  reason.placeholder = "seen";
+  reason.maxLength = 500;
+  const said = node("span", "", "bad");
+  said.setAttribute("role", "status");
+  made.append(node("button", "Acknowledge"), said);
+  made.addEventListener("submit", async (submitted) => {
+    submitted.preventDefault();
+    const problem = await acknowledge(event.id, token.value.trim(), reason.value.trim()).catch(() => "the service does not answer");
+    said.textContent = problem ?? "";
+    if (!problem) done();
+  });
+  return made;
+}
+
+function field(made, name, type) {
+  const [label, input] = [node("label", `${name} `), node("input")];
+  input.type = type;
+  label.append(input);
+  made.append(label);
+  return input;
+}
