@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import math
 from collections.abc import Iterable, Sequence
 from html import escape
 from pathlib import Path
@@ -15,6 +16,7 @@ import sunarc
 from sunarc.archives.passes import FoundSun
 from sunarc.archives.results import CameraResult, Summary, epoch_name
 from sunarc.archives.states import Epoch, State
+from sunarc.calibration.answers.covariance import sky_share_within
 from sunarc.common.array_types import FloatArray
 from sunarc.common.errors import disk_errors
 from sunarc.common.findings import Finding
@@ -22,6 +24,8 @@ from sunarc.common.json_text import json_text
 from sunarc.common.robust_statistics import median_of
 from sunarc.common.utc import DAY_S, utc_time
 from sunarc.optics.forward import project
+from sunarc.optics.mounting import pose_text
+from sunarc.optics.pose import pose_angles
 from sunarc.sky.days import solar_date, solar_days
 from sunarc.sky.sun import sun_directions
 from sunarc.sources.image_files import images_in
@@ -33,7 +37,8 @@ _MOST_DAYS = 40
 """Days of a camera that are listed; the tables have all."""
 _STYLE = """body{font:15px sans-serif;max-width:1000px;margin:2em auto;padding:0 1em;color:#222}
 table{border-collapse:collapse;margin:1em 0}th,td{border:1px solid #bbb;padding:.25em .6em;text-align:left}
-td.n{text-align:right}figure{display:inline-block;margin:.5em}img{max-width:320px}h2{margin-top:2em}"""
+td.n{text-align:right}figure{display:inline-block;margin:.5em 0}img{max-width:min(320px,100%)}h2{margin-top:2em}
+.wide{overflow-x:auto}svg{min-width:600px}"""
 
 
 def write_report(target: Path, summary: Summary, results: Sequence[CameraResult]) -> None:
@@ -55,7 +60,8 @@ def report_page(summary: Summary, results: Sequence[CameraResult]) -> str:
     parts = [_overview(summary.report)]
     parts += [_camera(numbers, result) for numbers, result in zip(cameras, results, strict=True)]
     return (
-        '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><title>Archive analysed again</title>'
+        '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1"><title>Archive analysed again</title>'
         f"<style>{_STYLE}</style></head><body><h1>Archive analysed again</h1>{''.join(parts)}"
         f"<p>sunarc {escape(sunarc.__version__)}. Tables: sightings.csv, epochs.json, failures.csv; calibrations and "
         "exports in the folders of these names.</p></body></html>"
@@ -100,7 +106,15 @@ def _camera(numbers: dict[str, Any], result: CameraResult) -> str:
     line = time_line(
         [(epoch_name(n), one.cause, one.start_unix_s, one.end_unix_s) for n, one in enumerate(result.epochs)]
     )
-    return head + line + _epochs(numbers["epochs"]) + _residuals(result) + _days(result) + _pictures(result)
+    return (
+        head
+        + line
+        + _epochs(numbers["epochs"])
+        + _poses(result)
+        + _residuals(result)
+        + _days(result)
+        + _pictures(result)
+    )
 
 
 def _refusal(epoch: dict[str, Any]) -> str:
@@ -134,6 +148,37 @@ def _epochs(epochs: Iterable[dict[str, Any]]) -> str:
         "calibration",
     )
     return _table(header, rows)
+
+
+def _poses(result: CameraResult) -> str:
+    """Return the pose of each epoch in words and angles, with the 1-sigma of directions over the sky."""
+    assert result.final is not None  # noqa: S101 - the caller asked
+    limit_deg = result.camera.options.max_sky_deg
+    rows = []
+    for number, epoch in enumerate(result.epochs):
+        found = result.final.states[epoch.state].calibration
+        angles = pose_angles(found.camera.rotation_cam_enu)
+        rows.append(
+            (
+                epoch_name(number),
+                pose_text(found.camera),
+                *(f"{angle:.2f}" for angle in angles),
+                _number(found.sky_rms_deg),
+                _number(found.sky_max_deg),
+                f"{math.floor(100.0 * sky_share_within(found, limit_deg))} %",
+            )
+        )
+    header = (
+        "epoch",
+        "pose",
+        "φxz, °",
+        "θzz, °",
+        "ψz, °",
+        "1-sigma RMS, °",
+        "at worst, °",
+        f"sky within {limit_deg:g}°",
+    )
+    return "<p>Pose, and 1-sigma of directions over the sky:</p>" + _table(header, rows)
 
 
 def _time(written: str) -> str:
@@ -226,7 +271,8 @@ def _table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     body = "".join(
         "<tr>" + "".join(f"<td{_align(cell)}>{escape(str(cell))}</td>" for cell in row) + "</tr>" for row in rows
     )
-    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+    table = f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+    return f'<div class="wide" tabindex="0" role="region" aria-label="Table of {escape(header[0])}">{table}</div>'
 
 
 def _align(cell: object) -> str:
@@ -296,6 +342,7 @@ class _scale:  # noqa: N801 - called as a function
 
 def _svg(height: int, title: str, content: str) -> str:
     return (
+        f'<div class="wide" tabindex="0" role="region" aria-label="{escape(title)}">'
         f'<svg role="img" aria-label="{escape(title)}" viewBox="0 0 {_WIDTH} {height}" width="100%" font-size="11" '
-        f'font-family="sans-serif"><title>{escape(title)}</title>{content}</svg>'
+        f'font-family="sans-serif"><title>{escape(title)}</title>{content}</svg></div>'
     )

@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 from pyarrow import parquet
+from tests.api.test_dashboard import browser, in_a_browser, is_accessible, opened
 from tests.fixtures.postgresql import Server, postgresql
 from tests.offline.reanalysis.in_process import InProcess
 from tests.offline.reanalysis.made import MADE, analysed, indexed_in, tables_in
@@ -118,6 +119,26 @@ def test_the_page_needs_no_other_file_and_shows_the_epochs(summary: Summary, tar
     assert page.count("data:image/jpeg;base64,") == 5
     assert all(word in page for word in ("roof", "mast", "moved", "clock", "+3600.0"))
     assert json.loads((target / "report.json").read_text())["failures"]["file_truncated"] == 2
+
+
+def test_the_page_states_pose_and_uncertainty_of_each_epoch(summary: Summary, target: Path) -> None:
+    page = (target / "report.html").read_text()
+    n_epochs = sum(len(one["epochs"]) for one in summary.report["cameras"])
+    assert len(re.findall(r"image top points to azimuth \d+°, tilted 1\.\d° to the [a-z-]+</td>", page)) == n_epochs
+    assert page.count("sky within 1.5°") == len(summary.report["cameras"])
+
+
+@pytest.mark.browser
+@in_a_browser
+def test_the_page_fits_a_phone(summary: Summary, target: Path) -> None:
+    assert summary.report["cameras"]
+    with browser() as chromium:
+        page = opened(chromium, (target / "report.html").absolute().as_uri(), width=390, height=844).page
+        assert page.evaluate("document.documentElement.scrollWidth") <= 390
+        assert page.evaluate("innerWidth") == 390
+        is_accessible(page)
+        if picture := os.environ.get("SUNARC_REPORT_PICTURE"):
+            page.screenshot(path=picture, full_page=True)
 
 
 def test_what_was_found_in_each_image_is_written_as_parquet(summary: Summary, target: Path) -> None:

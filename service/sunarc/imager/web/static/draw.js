@@ -26,9 +26,9 @@ export const fixed = (value, digits, unit = "") => (value === null || value === 
 export const telling = (value, unit = "") => (value === null || value === undefined ? "–" : `${value === 0 ? 0 : Number(value.toPrecision(3))}${unit}`);
 export const moment = (time) => (time ? time.replace("T", " ").replace(/(\.\d+)?Z$/, "") : "–");
 
-// A time in UTC, and in the site's zone where that is another; the date again where it differs.
-export function zoned(time, zone) {
-  const [utc, there] = [moment(time), time && zone ? localTime(time, zone) : null];
+// A time in UTC, to the second or of fewer characters, and in the site's zone where that is another; the date again where it differs.
+export function zoned(time, zone, length = 19) {
+  const [utc, there] = [moment(time).slice(0, length), time && zone ? localTime(time, zone) : null];
   if (!there || there === utc.slice(0, 16)) return `${utc} UTC`;
   return `${utc} UTC · ${there.slice(0, 10) === utc.slice(0, 10) ? there.slice(11) : there} ${zone}`;
 }

@@ -1,5 +1,5 @@
 // The first hours of a camera: whether the sun was found, what to check, how sure the north is, and when a fit can be expected.
-import { $, ago, fillFacts, fixed, moment, node, telling } from "./draw.js";
+import { $, ago, fillFacts, fixed, moment, node, telling, zoned } from "./draw.js";
 import { DAY_MS, drawSeries } from "./plots.js";
 
 const MS_PER_DEGREE = 240000; // of longitude: the sun's mean rate
@@ -104,12 +104,12 @@ const compassPoint = (azimuth) => POINTS[Math.round(azimuth / 45) % 8];
 function ofFit(status, sightings, today, site) {
   if (!today || !site) return "not known yet";
   const end = Date.parse(today.date) + DAY_MS - site.longitude * MS_PER_DEGREE;
-  const written = (at) => moment(new Date(at).toISOString()).slice(0, 16);
+  const written = (at) => zoned(new Date(at).toISOString(), status.timezone, 16);
   const set = today.time.at(-1);
   const over = !set || set <= status.frame_time;
   const shown = sightings.some((point) => point.time >= (today.time[0] ?? "9"));
   if (over && !shown) return `after the next clear day; at the earliest at ${written(end + DAY_MS)}`;
-  const dusk = over ? "the sun has set" : `the sun sets at ${moment(set).slice(11, 16)}`;
+  const dusk = over ? "the sun has set" : `the sun sets at ${written(Date.parse(set))}`;
   return `${dusk}; the day is evaluated at ${written(end)}, and fitted if it showed enough of the sun's path; if it was cloudy, after the next clear day.`;
 }
 
