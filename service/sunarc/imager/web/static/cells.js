@@ -6,6 +6,12 @@ import { compass } from "./sky.js";
 const SHADES = 6;
 const WIDEST = 1e3; // between the largest value and the first class
 
+// A value rounded up to three digits.
+function roundedUp(value) {
+  const digit = 10 ** (Math.floor(Math.log10(value)) - 2);
+  return Number((Math.ceil(value / digit - 1e-9) * digit).toPrecision(3));
+}
+
 // The upper ends of the classes, of two digits; the last holds the largest value.
 function classEnds(rows) {
   const [least, , most] = span(rows);
@@ -13,7 +19,7 @@ function classEnds(rows) {
   const from = Math.max(least, most / WIDEST);
   const ends = Array.from({ length: SHADES }, (_, k) => Number((from * (most / from) ** ((k + 1) / SHADES)).toPrecision(2)));
   const distinct = ends.filter((end, k) => k === 0 || end > ends[k - 1]);
-  return distinct.at(-1) >= most ? distinct : [...distinct.slice(0, -1), Number(most.toPrecision(3))];
+  return [...distinct.slice(0, -1), roundedUp(most)];
 }
 
 // The smallest, the middle and the largest of the values of a map.
