@@ -186,7 +186,7 @@ def night(stage: Stage) -> None:
     bodies = [{"body": "star:HIP91262", "title": "Vega", "pixel": [1200.0, 700.0], "magnitude": 0.2, "found": True}]
     picture = night_picture(sky, midnight, 5)
     store_picture(stage.images, picture, bodies, calibration="second", image_size=(LENS.width, LENS.height))
-    numbers = {"n_images": 48, "n_accepted": 46, "n_matched": 210, "n_stars": 240, "n_stored": 900}
+    numbers: dict[str, Any] = {"n_images": 48, "n_accepted": 46, "n_matched": 210, "n_stars": 240, "n_stored": 900}
     why = (Finding("night_images", {"n": 46, "images": 48, "cloud_fraction": 0.1}),)
     stage.archive.nights.save(judged("2013-05-13", at=midnight + timedelta(hours=6), findings=why, **numbers))
     stage.running()

@@ -153,7 +153,7 @@ def _epochs(epochs: Iterable[dict[str, Any]]) -> str:
 def _poses(result: CameraResult) -> str:
     """Return the pose of each epoch in words and angles, with the 1-sigma of directions over the sky."""
     assert result.final is not None  # noqa: S101 - the caller asked
-    limit_deg = result.camera.options.max_sky_deg
+    limit_deg = result.camera.plan.options.max_sky_deg
     rows = []
     for number, epoch in enumerate(result.epochs):
         found = result.final.states[epoch.state].calibration
