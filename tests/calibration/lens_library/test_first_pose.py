@@ -17,7 +17,6 @@ from sunarc.calibration.lens_library.first_pose import (
     level,
     levelling,
     north_sigma_deg,
-    top_azimuth_deg,
 )
 from sunarc.calibration.lens_library.lens_type import LensType
 from sunarc.calibration.model.options import CalibrationOptions, FirstPoseOptions
@@ -27,6 +26,7 @@ from sunarc.common.errors import InputError
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.inverse import unproject
+from sunarc.optics.mounting import top_azimuth_deg
 from sunarc.optics.pose import rotation_matrix, rotation_vector
 
 if TYPE_CHECKING:
