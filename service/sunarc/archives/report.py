@@ -62,9 +62,9 @@ def report_page(summary: Summary, results: Sequence[CameraResult]) -> str:
     return (
         '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1"><title>Archive analysed again</title>'
-        f"<style>{_STYLE}</style></head><body><h1>Archive analysed again</h1>{''.join(parts)}"
+        f"<style>{_STYLE}</style></head><body><main><h1>Archive analysed again</h1>{''.join(parts)}"
         f"<p>sunarc {escape(sunarc.__version__)}. Tables: sightings.csv, epochs.json, failures.csv; calibrations and "
-        "exports in the folders of these names.</p></body></html>"
+        "exports in the folders of these names.</p></main></body></html>"
     )
 
 
