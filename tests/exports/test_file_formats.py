@@ -32,7 +32,9 @@ SMALL = replace(
     decentering=(4e-3, -2e-3, 0.1, 0.0),
 )  # fmt: skip
 MIRRORED = replace(SMALL, mirrored=True)
-FILES = [name for name, one in FORMATS.items() if one.media_type is None and not name.startswith("map-")]
+FILES = [
+    name for name, one in FORMATS.items() if one.media_type is None and one.read is not None and name[:4] != "map-"
+]
 IMAGES = ("azimuth-zenith-png", "azimuth-zenith-jp2")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -25,6 +26,7 @@ from sunarc.formats.ocam import calib_results, ocam_model, ocam_view, read_ocamc
 from sunarc.formats.remap import is_remap, read_remap, remap_table, sky_grid
 from sunarc.formats.tables import MapFormat, calibration_table, map_table, read_table, table_bytes
 from sunarc.formats.view import View, camera_view, compare
+from sunarc.formats.virtualsky import MOST_DEG, virtualsky_json, virtualsky_model, virtualsky_view
 
 ServedFormat = Literal["json", "opencv", "ocamcalib", "asi-core", "mrcal", "netcdf", "npz"]
 """Names of the formats that are served over HTTP."""
@@ -212,6 +214,20 @@ def _ocamcalib(calibration: Calibration, document: Document) -> Exported:
     )
 
 
+def _virtualsky(calibration: Calibration, document: Document) -> Exported:
+    fisheye.require_no_mirror(calibration.camera, "virtualsky")
+    square, size = virtualsky_model(calibration.camera), _size(calibration)
+
+    def content(notes: list[str]) -> bytes:
+        return virtualsky_json(square, size=size, site=calibration.site, notes=notes)
+
+    made = _of_model(calibration, document, virtualsky_view(square, size=size), content)
+    if made.difference is None or not made.difference.max_deg <= MOST_DEG:
+        worst = math.nan if made.difference is None else made.difference.max_deg
+        raise FindingError("calibration", Finding("format_does_not_hold", {"max_deg": worst, "limit_deg": MOST_DEG}))
+    return made
+
+
 # Files whose error is that of the file, read back.
 
 
@@ -316,6 +332,7 @@ FORMATS: Mapping[str, Format] = {
             name="npz", file="calibration.npz", write=partial(_table, form="npz"), read=_alone(_read_npz),
             start=(b"PK",), media_type="application/x-npz",
         ),
+        Format(name="virtualsky", file="virtualsky.json", write=_virtualsky, inside=(b'"virtualsky": {',)),
         _file("opencv-remap", "remap.npz", _remap, _alone(read_remap), start=(b"PK",)),
         _file("colmap", "cameras.txt", _colmap, _alone(fisheye.read_colmap), inside=(b"_FISHEYE ",)),
         _file("ros", "camera_info.yaml", _ros, _alone(fisheye.read_ros), inside=(b"distortion_model:",)),
