@@ -81,7 +81,7 @@ def test_a_tilted_camera_is_refused(tilt: float) -> None:
     with pytest.raises(FindingError) as refused:
         export(document_of(replace(LEVEL, rotation_cam_enu=(tilt, 0.0, 0.0))), "virtualsky")
     assert refused.value.finding.code == "format_does_not_hold"
-    assert refused.value.finding.data["max_deg"] > refused.value.finding.data["limit_deg"]
+    assert float(refused.value.finding.data["max_deg"]) > float(refused.value.finding.data["limit_deg"])
 
 
 def test_mirrored_images_are_refused_and_nothing_reads_the_file() -> None:
