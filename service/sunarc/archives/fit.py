@@ -30,6 +30,7 @@ from sunarc.calibration.model.options import CalibrationOptions, Mirrored
 from sunarc.calibration.model.pose_change import PoseChange
 from sunarc.calibration.model.result import Calibration, refused_for, with_finding
 from sunarc.calibration.model.sightings import Sightings
+from sunarc.calibration.pose import estimate_pose
 from sunarc.calibration.projection_choice import options_as_served
 from sunarc.calibration.quality.fit_checks import JudgedFit, is_tilt_shown
 from sunarc.calibration.quality.tilt import tilt_question
@@ -59,6 +60,7 @@ from sunarc.common.findings import Finding
 from sunarc.common.robust_statistics import finite, robust_sigma
 from sunarc.common.utc import utc_time
 from sunarc.formats.calibration_document import to_document
+from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project_fast
 from sunarc.sky.sun import sun_directions
 from sunarc.sources.look import key_of
@@ -106,12 +108,13 @@ def with_changes_within(points: Sightings, states: Sequence[State], camera: Arch
     return found
 
 
-def with_lenses_apart(
+def with_lenses_by_evidence(
     points: Sightings, path: IntArray, states: Sequence[State], fitted: Mapping[int, FittedPose], camera: ArchiveCamera
 ) -> list[State]:
-    """Return states, those that no one lens explains with the state before given a lens of their own.
+    """Return states, those that one lens explains with the state before given that lens, and others one of their own.
 
-    A state is taken for a known lens in another pose within what is known of that lens, which is little at first.
+    A state is taken for a known lens in another pose within what is known of that lens, which is little at first; and
+    for another lens where days of two states were fitted as one.
 
     Parameters
     ----------
@@ -122,17 +125,21 @@ def with_lenses_apart(
     noise, found, epochs = noise_of_days(points, camera.site), list(states), epochs_of(path, states, points)
     for number, (one, other) in enumerate(itertools.pairwise(epochs), 1):
         before, after = (found[each.state] for each in (one, other))
-        if before.lens != after.lens or before.pose == after.pose:
+        if before.pose == after.pose:
             continue
-        sides = [
-            (
-                camera.shifted(points.select(rows), state.clock_offset_s),
-                fitted[state.pose].calibration.camera,
-                noise[rows],
-            )
-            for rows, state in ((slice(one.first, one.last + 1), before), (slice(other.first, other.last + 1), after))
+        rows = [slice(each.first, each.last + 1) for each in (one, other)]
+        seen = [
+            camera.shifted(points.select(some), each.clock_offset_s)
+            for some, each in zip(rows, (before, after), strict=True)
         ]
-        if not is_of_lens(sides, camera.site):
+        calibrations = [fitted[each.pose].calibration for each in (before, after)]
+        cameras = _of_one_lens(calibrations, seen, camera)
+        sides = [(some, of_side, noise[of]) for some, of_side, of in zip(seen, cameras, rows, strict=True)]
+        apart = is_of_lens(sides, camera.site)
+        if apart is None or apart == (before.lens != after.lens):
+            continue
+        if not apart:
+            found = [state._replace(lens=before.lens) if state.lens == after.lens else state for state in found]
             continue
         free = 1 + max(state.lens for state in found)
         earlier = {found[each.state].pose for each in epochs[:number]}
@@ -141,6 +148,13 @@ def with_lenses_apart(
             if found[place].lens == before.lens and found[place].pose not in earlier:
                 found[place] = found[place]._replace(lens=free)
     return found
+
+
+def _of_one_lens(calibrations: Sequence[Calibration], seen: Sequence[Sightings], camera: ArchiveCamera) -> list[Camera]:
+    """Return the cameras of two sides of a change, that of fewer sightings with the lens of the other in its pose."""
+    fewer = int(len(seen[1]) <= len(seen[0]))
+    posed = estimate_pose(seen[fewer], start=calibrations[1 - fewer], site=camera.site, options=camera.loosely())
+    return [posed.camera if side == fewer else solved.camera for side, solved in enumerate(calibrations)]
 
 
 def fit_poses(
@@ -349,9 +363,9 @@ def final_analysis(given: CameraSightings) -> Final:
     states = with_changes_within(points, given.states, camera)
     _, path = find_epochs(points, states, camera)
     fitted = fit_poses(points, path, states, camera)
-    apart = with_lenses_apart(points, path, states, fitted, camera)
-    if [one.lens for one in apart] != [one.lens for one in states]:
-        states, fitted = apart, fit_poses(points, path, apart, camera)
+    named = with_lenses_by_evidence(points, path, states, fitted, camera)
+    if [one.lens for one in named] != [one.lens for one in states]:
+        states, fitted = named, fit_poses(points, path, named, camera)
     # a state that no sighting is left to has no calibration that a later one could be given
     held = [(state, points.select(path == number)) for number, state in enumerate(states) if np.any(path == number)]
     refined = [_refined(state, fitted, of_state, camera) for state, of_state in held]

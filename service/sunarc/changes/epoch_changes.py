@@ -50,7 +50,7 @@ _CLOCK_DEG = 2.5
 _COMMON_LENS = 0.3
 """1-sigma of what the state itself is wrong by, in that of a change of the lens."""
 _LENS_AMONG_CHANGES = 3.0
-"""Powers of e by which a change that is found is rarely one of the lens, too: one in twenty. Turns have -13 to -8."""
+"""Powers of e from which a change is clearly one of the lens, too, or of the pose alone. Turns have -13 to -8."""
 _AGREES_PX, _AGREES_SIGMAS, _FEWEST_OF_HALF = 0.3, 1.5, 4
 """How far off the middle of half a day may lie: px, and in the day's noise; fewer sightings have no middle."""
 _CHANGED = (Param.FOCAL_LENGTH_X_PX, *CENTER, Param.K2)
@@ -184,8 +184,8 @@ def change_within(points: Sightings, camera: Camera, site: Site, noise_px: Float
     )
 
 
-def is_of_lens(sides: Sequence[tuple[Sightings, Camera, FloatArray]], site: Site) -> bool:
-    """Return whether a change between two poses that were found for one lens is likelier one of the lens, too.
+def is_of_lens(sides: Sequence[tuple[Sightings, Camera, FloatArray]], site: Site) -> bool | None:
+    """Return whether a change between two poses of one lens is likelier one of the lens, too; None where unclear.
 
     Parameters
     ----------
@@ -195,11 +195,11 @@ def is_of_lens(sides: Sequence[tuple[Sightings, Camera, FloatArray]], site: Site
     """
     first, second = (_seen(points, camera, site, noise_px)[0] for points, camera, noise_px in sides)
     if first is None or second is None:
-        return False
+        return None
     both = _Linear(*(np.concatenate(pair) for pair in zip(first, second, strict=True)))
     after = (np.arange(len(both.values)) >= len(first.values))[:, None, None]
     moved, lens = (both.explained(both.step(one) * after).log_evidence for one in _OF_POSE_OR_LENS)
-    return lens - moved > _LENS_AMONG_CHANGES
+    return None if abs(lens - moved) <= _LENS_AMONG_CHANGES else lens > moved
 
 
 def _seen(points: Sightings, camera: Camera, site: Site, noise_px: FloatArray) -> tuple[_Linear | None, IntArray]:

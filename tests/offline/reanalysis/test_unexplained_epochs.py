@@ -12,7 +12,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 from tests.finding_codes import codes
 
-from sunarc.archives.fit import CameraSightings, final_analysis, first_analysis, kept_provisional
+from sunarc.archives.fit import (
+    CameraSightings,
+    FittedPose,
+    final_analysis,
+    first_analysis,
+    kept_provisional,
+    with_lenses_by_evidence,
+)
 from sunarc.archives.states import ArchiveCamera, Epoch, State, alternation, surely_held
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions
@@ -159,6 +166,25 @@ def test_a_change_of_scale_is_told_from_a_turn_though_one_camera_was_fitted_to_b
         for points, of in ((before, camera), (later, turned))
     )
     assert is_of_lens((first, second), SITE) is of_lens
+
+
+@pytest.mark.parametrize(("scale", "said"), [(1.0, (0, 0)), (1.0, (0, 1)), (1.03, (0, 0)), (1.03, (0, 1))])
+def test_lenses_are_those_of_the_evidence_whatever_the_search_took_them_for(
+    scale: float, said: tuple[int, int]
+) -> None:
+    points = archive(8, days=6, per_day=30, first_share=0.5, second=scale * FIRST, sigma_px=0.3)
+    late = np.arange(len(points)) >= len(points) // 2
+    center = np.array([322.0, 297.0])
+    turned = center + (points.pixels - center) @ Rotation.from_euler("z", 2.0, degrees=True).as_matrix()[:2, :2]
+    points = replace(points, pixels=np.where(late[:, None], turned, points.pixels))
+    rows = [np.flatnonzero(late == side) for side in (False, True)]
+    fits = {pose: FittedPose(fitted(points.select(of)), of) for pose, of in enumerate(rows)}
+    states = [
+        State(one.calibration, lens=said[pose], pose=pose, clock_offset_s=0.0, sigma_px=0.3)
+        for pose, one in fits.items()
+    ]
+    named = with_lenses_by_evidence(points, late.astype(np.int64), states, fits, ArchiveCamera(SITE, SIZE, OPTIONS))
+    assert (named[0].lens == named[1].lens) is (scale == 1.0)
 
 
 @pytest.mark.parametrize(("second", "certain"), [(FIRST * 1.004, False), (SECOND, True)])
