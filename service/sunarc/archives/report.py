@@ -272,7 +272,7 @@ def _table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
         "<tr>" + "".join(f"<td{_align(cell)}>{escape(str(cell))}</td>" for cell in row) + "</tr>" for row in rows
     )
     table = f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
-    return f'<div class="wide" tabindex="0" role="region" aria-label="Table of {escape(header[0])}">{table}</div>'
+    return f'<div class="wide" tabindex="0" role="group" aria-label="Table of {escape(header[0])}">{table}</div>'
 
 
 def _align(cell: object) -> str:
@@ -342,7 +342,7 @@ class _scale:  # noqa: N801 - called as a function
 
 def _svg(height: int, title: str, content: str) -> str:
     return (
-        f'<div class="wide" tabindex="0" role="region" aria-label="{escape(title)}">'
+        f'<div class="wide" tabindex="0" role="group" aria-label="{escape(title)}">'
         f'<svg role="img" aria-label="{escape(title)}" viewBox="0 0 {_WIDTH} {height}" width="100%" font-size="11" '
         f'font-family="sans-serif"><title>{escape(title)}</title>{content}</svg></div>'
     )
