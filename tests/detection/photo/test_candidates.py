@@ -126,18 +126,19 @@ def test_a_part_holds_a_plateau_whose_rays_end_within_it(cell: int, column: int,
 def test_the_sigma_of_a_rim_and_how_sun_like_it_is_by_their_formulas() -> None:
     rng = np.random.default_rng(1)
     for k in range(12):
-        radius, scatter, share, spread, offset, flat, near, far, uneven, pull = (
-            rng.uniform(4.0, 40.0), *rng.uniform(0.1, 1.0, 2), *rng.uniform(0.0, 2.0, 2), *rng.uniform(0.2, 1.2, 5),
+        radius, scatter, share, spread, offset, flat, near, far, uneven, pull, lopsided = (
+            rng.uniform(4.0, 40.0), *rng.uniform(0.1, 1.0, 2), *rng.uniform(0.0, 2.0, 2), *rng.uniform(0.2, 1.2, 6),
         )  # fmt: skip
         near = (0.29, 0.31, near)[k % 3]
         rim = Rim(
-            50.0, 60.0, radius, scatter, share, spread, offset, 0.1, 4095.0, flat, near, far, uneven, pull, 3, k % 2 > 0
-        )
+            50.0, 60.0, radius, scatter, share, spread, offset, 0.1, 4095.0, flat, near, far, uneven, pull, lopsided, 3,
+            k % 2 > 0,
+        )  # fmt: skip
         cut = k % 2 > 0 and near >= 0.3
         parts = [
             0.2, (0.04 if cut else 0.015) * radius, 7.0 * (scatter / share) ** 2 / radius, 0.5 * spread, 0.45 * offset,
-            0.9 * radius * uneven**2 * cut, 0.25 * radius * (1.0 - share) * cut,
-            *((0.35 * pull, 0.7 * radius * max(uneven - 0.9, 0.0)) if k % 2 == 0 else ()),
+            0.9 * radius * uneven**2 * cut, 0.25 * radius * (1.0 - share) * (cut or k % 2 == 0),
+            *((0.35 * pull, 0.7 * radius * max(uneven - 0.9, 0.0), 0.25 * radius * lopsided) if k % 2 == 0 else ()),
         ]  # fmt: skip
         assert sigma_px(rim) == pytest.approx(math.hypot(*parts), rel=1e-12)
         apart = rng.uniform(0.0, 40.0)

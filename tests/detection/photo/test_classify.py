@@ -28,6 +28,7 @@ RIM = Rim(
     far=0.66,
     uneven=0.3,
     pull=0.0,
+    lopsided=0.0,
     circles=3,
 )
 SEEN = Candidate(
@@ -142,7 +143,7 @@ def test_the_score_falls_off_the_glare() -> None:
 
 
 def test_sigma_is_the_root_of_the_sum_of_its_parts() -> None:
-    parts = (0.2, 0.015 * 12.0, 7.0 * (0.6 / 0.9) ** 2 / 12.0, 0.5 * 0.2, 0.45 * 1.0)
+    parts = (0.2, 0.015 * 12.0, 7.0 * (0.6 / 0.9) ** 2 / 12.0, 0.5 * 0.2, 0.45 * 1.0, 0.25 * 12.0 * 0.1)
     assert sigma_px(RIM) == pytest.approx(math.sqrt(sum(part**2 for part in parts)))
 
 
@@ -215,5 +216,5 @@ def test_the_sigma_of_a_rim_with_an_edge_grows_with_what_does_not_follow_it() ->
         math.hypot(0.2, 0.04 * 12.0, 7.0 * 0.6**2 / 12.0, 0.5 * 0.2, 0.45), rel=1e-6
     )
     assert sigma_px(covered) > 0.4 * 0.25 * 12.0
-    assert sigma_px(covered) > 1.5 * sigma_px(covered._replace(edged=False))
+    assert sigma_px(covered) > 1.5 * sigma_px(whole)
     assert sigma_px(whole._replace(uneven=0.8)) > 2.0 * sigma_px(whole)

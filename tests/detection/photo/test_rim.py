@@ -217,6 +217,45 @@ def test_light_that_varies_in_other_ways_too_is_no_pull() -> None:
     assert rim(image, Plateau(100.0, 90.0, 15.0, 4095.0)).pull < 1e-6
 
 
+@pytest.mark.parametrize("radius", [9.0, 15.0])
+def test_the_lopsidedness_is_the_light_three_times_around_over_its_fall_and_a_lens_has_none(radius: float) -> None:
+    def found(times: int) -> Rim:
+        image = glare_on(lambda far, angle: 0.01 * np.cos(times * angle) + 0.0 * far, radius)
+        return rim(image, Plateau(100.0, 90.0, radius, 4095.0))
+
+    at = 1.15 * found(3).radius
+    light = (0.55 + 1.25 / (1.0 + (at / (1.6 * radius)) ** 1.7)) / 1.11
+    assert found(3).lopsided == pytest.approx(0.01 / 1.11 / (1.0 - light), rel=0.2)
+    assert found(2).lopsided < 0.1 * found(3).lopsided
+
+
+@pytest.mark.parametrize("towards", [0.0, 2.0, 4.0])
+@pytest.mark.parametrize("width", [2.0, 8.0])
+@pytest.mark.parametrize("past", [-8.0, 0.0, 8.0])
+def test_the_symmetry_of_the_glare_shows_a_cloud_whose_edge_moves_a_sun(
+    towards: float, width: float, past: float
+) -> None:
+    def cloud(far: FloatArray, angle: FloatArray) -> FloatArray:
+        hidden = 0.12 / (1.0 + np.exp((past - far * np.cos(angle - towards)) / width))
+        return np.asarray(-hidden * (0.55 + 1.25 / (1.0 + (far / 24.0) ** 1.7)))
+
+    image = glare_on(cloud, 15.0)
+    near = rim(image, Plateau(100.0, 90.0, 14.0, 4095.0))
+    found = rim(image, Plateau(near.x, near.y, 0.95 * near.radius, 4095.0))
+    assert distance(found) < 4.0 * sigma_px(found)
+    assert distance(found) > 4.5 * sigma_px(found._replace(lopsided=0.0, share=1.0))
+
+
+def test_the_dark_beyond_the_rim_of_the_field_makes_the_light_about_a_low_sun_no_more_uneven() -> None:
+    whole = glare_image(radius=15.0)
+    cut = whole.copy()
+    cut[:, 122:] = 40
+    found, uncut = (rim(image, Plateau(100.0, 90.0, 15.0, 4095.0)) for image in (cut, whole))
+    assert found.uneven == pytest.approx(uncut.uneven, abs=0.1)
+    assert found.near == pytest.approx(uncut.near, abs=0.01)
+    assert sigma_px(found) < 1.2 * sigma_px(uncut)
+
+
 def test_every_number_of_a_rim_is_the_stored_one() -> None:
     """Round and drawn out, with and without an edge, covered, near a corner, of 8 and 12 bits, from tiny to large."""
     rows, columns = np.mgrid[:200, :200]

@@ -28,6 +28,7 @@ def candidate(x: float, y: float, *, sigma_px: float, radius: float = 5.0) -> Ca
         far=0.6,
         uneven=0.2,
         pull=0.0,
+        lopsided=0.0,
         circles=3,
     )
     return Candidate(rim, sigma_px, off_glare_px=0.0, off_local_glare_px=0.0, size_px=200.0, other_area=0.0)

@@ -52,6 +52,8 @@ _DRAWN_OUT, _ROUND = 0.1, 1e-4  # of the radius, 1-sigma: by so much a lens draw
 _LEAST_POINTS, _LEAST_SHARE = 20, 0.25
 _FOLLOWED, _FOLLOWED_SCALES = 0.06, 3.0  # of the radius, and scales, within which the rim follows the circle
 _AT = (1.7, 2.6)  # radii at which the light around is taken
+_BESIDE = 1.15
+"""Radii at which the symmetry of the glare is taken: farther out it is the sky's, within that the plateau's."""
 
 _GRADIENT = (0.7, 0.85)
 """Share of the light's variance around a rim that is once around, from which it is a gradient's: at blown-out horizons
@@ -59,12 +61,18 @@ it was 0.82 to 0.98, of the texture of the glare about stand-ins of real suns 0.
 _PULLED = 0.45
 """Share of the pull by which a rim's centre is off: 0.25 to 0.55 at drawn blown-out horizons, 0.96 by a gradient."""
 
+_DARK, _FAR_DARKER = 0.06, 0.25
+"""Of the plateau, and of the median of a ring of light: what is darker than both is the rim of the field."""
+
 _CLIPPED = 0.6  # share of a plateau that is level where it is clipped
 _WITHIN, _FLAT, _FLAT_COUNTS = 0.75, 0.006, 1.5  # radii; of the level, and counts at least: JPEG's noise
 _LEAST_FALL = 0.01  # of the level: less is JPEG's noise
 
 _ANGLES = np.arange(RAYS) * (2.0 * math.pi / RAYS)
 _COSINE, _SINE = np.cos(_ANGLES), np.sin(_ANGLES)
+_HARMONICS = np.column_stack(
+    [np.ones(RAYS), *(part(times * _ANGLES) for times in (1, 2, 3) for part in (np.cos, np.sin))]
+)
 
 
 class Circle(NamedTuple):
@@ -89,8 +97,8 @@ class Rim(NamedTuple):
     ellipticity : 1 - minor/major axis. level : of the plateau, counts. flat : share of the light within the rim that is
     level to within JPEG's noise: 1 where the sun is clipped. near, far : light at 1.7 and 2.6 radii over the level,
     medians over the rays. uneven : width of the middle 70 % of the light at 1.7 radii over its fall from the plateau.
-    pull : see `_pull`, px; 0 of a rim with an edge. circles : how many levels have one. edged : whether the light falls
-    to half within twice the radius: in a short exposure, or no sun.
+    pull : see `_pull`, px; 0 of a rim with an edge. lopsided : see `_lopsidedness`. circles : how many levels have one.
+    edged : whether the light falls to half within twice the radius: in a short exposure, or no sun.
     """
 
     x: float
@@ -107,6 +115,7 @@ class Rim(NamedTuple):
     far: float
     uneven: float
     pull: float
+    lopsided: float
     circles: int
     edged: bool = False
 
@@ -180,6 +189,7 @@ def _summary(
         far=far,
         uneven=_unevenness(rays, _AT[0] * radius),
         pull=0.0,
+        lopsided=_lopsidedness(rays, _BESIDE * radius),
         circles=len(circles),
     )
 
@@ -204,9 +214,17 @@ def _rays(plane: Image, plateau: Plateau, static: BoolArray | None) -> _Rays:
     return _Rays(np.where(inside, np.asarray(light, dtype=np.float64), np.nan), radii)
 
 
+def _around(rays: _Rays, radius: float) -> FloatArray:
+    """Return the light at a radius, (rays,); NaN beyond the rim of the field, where it is far darker than elsewhere."""
+    ring = rays.light[:, min(int(np.searchsorted(rays.radii, radius)), rays.radii.size - 1)]
+    known = ring[np.isfinite(ring)]
+    middle = float(np.median(known)) if known.size else 0.0
+    return np.where(ring < min(_DARK, _FAR_DARKER * middle), np.nan, ring)
+
+
 def _ring(rays: _Rays, radius: float) -> FloatArray:
     """Return the light at a radius on the rays on which it is known."""
-    column = rays.light[:, min(int(np.searchsorted(rays.radii, radius)), rays.radii.size - 1)]
+    column = _around(rays, radius)
     return np.asarray(column[np.isfinite(column)])
 
 
@@ -225,6 +243,19 @@ def _unevenness(rays: _Rays, radius: float) -> float:
     return float((high - low) / max(1.0 - middle, _LEAST_FALL))
 
 
+def _lopsidedness(rays: _Rays, radius: float) -> float:
+    """Return the amplitude of the light once and three times around, at a radius, over its fall from the plateau.
+
+    A lens draws glare out, twice around; the edge of a cloud has the other parts.
+    """
+    ring = _around(rays, radius)
+    known = np.isfinite(ring)
+    if np.count_nonzero(known) < _LEAST_POINTS:
+        return 1.0
+    middle, *parts = np.linalg.lstsq(_HARMONICS[known], ring[known])[0].tolist()
+    return math.hypot(*parts[:2], *parts[4:]) / max(1.0 - middle, _LEAST_FALL)
+
+
 def _pull(rays: _Rays, crossing: list[FloatArray], radius: float) -> tuple[float, float]:
     """Return by how much light that rises across the glare moves a level's circle, (x, y) px: to the lighter side.
 
@@ -233,14 +264,14 @@ def _pull(rays: _Rays, crossing: list[FloatArray], radius: float) -> tuple[float
     k R over s. Light that varies in other ways, too, is the glare's own, and moves its levels far less.
     """
     near, far = _AT[0] * radius, _AT[1] * radius
-    ring = rays.light[:, min(int(np.searchsorted(rays.radii, near)), rays.radii.size - 1)]
+    ring = _around(rays, near)
     known = np.isfinite(ring)
     apart = crossing[-1] - crossing[0]
     apart = apart[np.isfinite(apart)]
     if np.count_nonzero(known) < _LEAST_POINTS or not apart.size:
         return 0.0, 0.0
     fall = (_LEVELS[0] - _LEVELS[-1]) / max(float(np.median(apart)), _LEAST_SCALE_PX)
-    design = np.column_stack([np.ones(RAYS), _COSINE, _SINE])[known]
+    design = _HARMONICS[known, :3]
     once = np.linalg.lstsq(design, ring[known])[0]
     left = float(np.var(ring[known] - design @ once) / max(float(np.var(ring[known])), np.finfo(np.float64).tiny))
     even = float(np.interp(1.0 - left, _GRADIENT, (0.0, 1.0)))
