@@ -25,6 +25,7 @@ from sunarc.imager.archive.archive import Archive, open_archive
 from sunarc.imager.archive.database.schema import upgrade
 from sunarc.imager.archive.images import ImageStore
 from sunarc.imager.archive.move_pictures import MovePictures
+from sunarc.imager.archive.obstructions import ObstructionLearner
 from sunarc.imager.archive.values import CameraRecord, Day, Event, Housekeeping, Refit, SunPoint
 from sunarc.imager.runtime.clock import VirtualClock
 from sunarc.imager.runtime.status import CameraStatus, ClockStatus, DiskStatus, StatusRegistry, WorkerStatus
@@ -188,6 +189,7 @@ def make(tmp_path: Path, archives: Path) -> Iterator[Make]:
         images: ImageStore | None = None,
         moves: MovePictures | None = None,
         pictures: PictureList | None = None,
+        obstructions: ObstructionLearner | None = None,
         token: bool = True,
         history: str = "empty",
         archive: Archive | None = None,
@@ -225,6 +227,7 @@ def make(tmp_path: Path, archives: Path) -> Iterator[Make]:
             is_replay=is_replay,
             moves=moves,
             pictures=pictures,
+            obstructions=obstructions,
         )
         return Made(kept, board, app, Client(app), asked)
 

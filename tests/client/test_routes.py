@@ -59,6 +59,8 @@ ASKED: dict[str, Callable[[Imager], Any]] = {
     "GET /v1/images/{time}": lambda imager: imager.image(AT, form="jpeg", width=64),
     "GET /v1/images/{time}/rectified": lambda imager: imager.rectified(AT, grid="ground", height_m=900.0),
     "GET /v1/masks/horizon": Imager.horizon_mask,
+    "GET /v1/masks/obstructions": Imager.obstruction_mask,
+    "GET /v1/horizon": Imager.horizon,
     "GET /v1/masks/sun": Imager.sun_mask,
     "GET /v1/overlay": Imager.overlay,
     "GET /v1/refits": lambda imager: list(imager.refits()),

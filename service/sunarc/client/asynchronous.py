@@ -68,6 +68,8 @@ class AsyncImager:
     remap = _in_thread(Imager.remap)
     rectified = _in_thread(Imager.rectified)
     sun_mask = _in_thread(Imager.sun_mask)
+    obstruction_mask = _in_thread(Imager.obstruction_mask)
+    horizon = _in_thread(Imager.horizon)
     horizon_mask = _in_thread(Imager.horizon_mask)
     image = _in_thread(Imager.image)
     latest_image = _in_thread(Imager.latest_image)

@@ -203,6 +203,14 @@ class Imager(Requests):
         """Return a PNG of the image's size: 255 within a radius of the sun."""
         return self._content("/masks/sun", radius_deg=_number(radius_deg), at=_time(at), calibration=self._chosen)
 
+    def obstruction_mask(self, *, form: str = "png") -> bytes:
+        """Return what hides the sky: png (255 free, 128 unknown, 64 dirt, 0 hidden), or npz of probabilities."""
+        return self._content("/masks/obstructions", format=form)
+
+    def horizon(self) -> dict[str, Any]:
+        """Return the horizon that the camera sees: elevation, 1-sigma and openings by azimuth, degrees."""
+        return self._json("/horizon")
+
     def horizon_mask(self, *, elevation_deg: float = 0.0, at: datetime | None = None) -> bytes:
         """Return a PNG of the image's size: 255 where it shows the sky above an elevation, and nothing hides it."""
         return self._content(

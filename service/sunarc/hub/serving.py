@@ -166,6 +166,7 @@ def create_hub_app(
         options=options,
         images=None,
         moves=None,
+        obstructions=None,
         stopping=stopping,
         token=None,
     )

@@ -22,6 +22,7 @@ from sunarc.imager.archive.database.recovery import Recovery
 from sunarc.imager.archive.database.store import Reserve
 from sunarc.imager.archive.images import ImageStore, time_in_name
 from sunarc.imager.archive.move_pictures import MovePictures
+from sunarc.imager.archive.obstructions import ObstructionLearner
 from sunarc.imager.archive.pictures_of_one_time import ELSEWHERE
 from sunarc.imager.archive.values import Refit
 from sunarc.imager.cameras.frame import Frame, SkyCamera
@@ -172,6 +173,7 @@ class Service:
         self.predictor = SunPredictor(self.camera)
         self.images = ImageStore(settings.images, options=settings.disk)
         self.move_pictures = MovePictures(settings.moves)
+        self.obstructions = ObstructionLearner(self.camera, settings.obstructions)
         self.reserve = Reserve(settings.reserve, size_bytes=int(settings.disk.reserve_mb * 1e6))
         restore_last_known(
             self.board,
@@ -261,6 +263,7 @@ class Service:
             method=options.method,
             clock_error_s=self.clock_watch.error_s,
             notice=self._notice_sun,
+            show=self.obstructions.take,
             board=self.board,
             looked_at_again=True,
         )
@@ -297,6 +300,7 @@ class Service:
             method="auto",
             clock_error_s=lambda time: self.clock_watch.error_s(time) + options.clock_error_s + worker.within_s,
             notice=self._notice_sun,
+            show=self.obstructions.take,
             board=self.board,
         )
         worker = SnapshotWorker(
@@ -476,6 +480,7 @@ class Service:
             describe=partial(
                 image_document, camera=self.settings.name, site=self.settings.site, predictor=self.predictor
             ),
+            show=self.obstructions.take,
             board=self.board,
         )
 

@@ -201,6 +201,7 @@ def _web_server(service: Service, *, on_started: Callable[[], None]) -> Server:
         timezone=service.settings.site.timezone,
         is_replay=service.settings.is_replay,
         moves=service.move_pictures,
+        obstructions=service.obstructions,
         pictures=service.pictures,
         stopping=lambda: server.should_exit,
     )

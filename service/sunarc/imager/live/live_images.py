@@ -121,6 +121,7 @@ class LiveImages:
     clock_error_s : bound of the error of an image's time, s.
     notice : called with the time and place of each sun that was found, for the detection of changes.
     board : where repetitions are reported.
+    show : called with the pixels and the time of each picture that is new.
     looked_at_again : whether the images from before the first calibration are read again elsewhere; otherwise
         their sightings are held to it here.
     """
@@ -132,6 +133,7 @@ class LiveImages:
     clock_error_s: Callable[[datetime], float]
     notice: Callable[[datetime, Detection], None]
     board: StatusRegistry
+    show: Callable[[Image, datetime], None] = lambda _image, _time: None
     looked_at_again: bool = False
 
     def __post_init__(self) -> None:
@@ -196,6 +198,8 @@ class LiveImages:
         places = ((one.x_px, one.y_px) for one in suns.values())  # of a bright region that is refused too
         sun = next(((x, y) for x, y in places if x is not None and y is not None), None)
         earlier = self.repetitions.earlier(image, pixels, sun)
+        if earlier is None:
+            self.show(pixels, image.time)
         return None if earlier is None else Finding("frame_repeated", {"time": earlier.isoformat(timespec="seconds")})
 
     def _show_sighting(self, time: datetime) -> None:

@@ -195,6 +195,11 @@ class Settings(_WithStore):
         return self.state / "warm-pixels.json"
 
     @property
+    def obstructions(self) -> Path:
+        """The file of the sums of the obstruction mask."""
+        return self.state / "obstructions.npz"
+
+    @property
     def snapshots(self) -> Path:
         """The folder of the last picture of a camera that is asked by HTTP or RTSP."""
         return self.state / "snapshots"

@@ -23,6 +23,7 @@ from sunarc.calibration.answers.error_model import draw_ensemble
 from sunarc.imager.archive.archive import Archive
 from sunarc.imager.archive.images import ImageStore
 from sunarc.imager.archive.move_pictures import MovePictures
+from sunarc.imager.archive.obstructions import ObstructionLearner
 from sunarc.imager.archive.values import Refit
 from sunarc.imager.runtime.status import StatusSnapshot
 from sunarc.imager.web import problems
@@ -41,6 +42,7 @@ from sunarc.imager.web.routes.images import image_routes
 from sunarc.imager.web.routes.maps import map_routes, mask_routes, remap_routes
 from sunarc.imager.web.routes.metrics import CountRequests, RequestCounts, StatusCollector
 from sunarc.imager.web.routes.nights import night_routes
+from sunarc.imager.web.routes.obstructions import obstruction_routes
 from sunarc.imager.web.routes.overlay import overlay_routes
 from sunarc.imager.web.routes.record import (
     day_air_routes,
@@ -163,6 +165,7 @@ def create_app(
     timezone: str = "UTC",
     is_replay: bool = False,
     moves: MovePictures | None = None,
+    obstructions: ObstructionLearner | None = None,
     pictures: PictureList | None = None,
     stopping: Callable[[], bool] = lambda: False,
 ) -> FastAPI:
@@ -180,6 +183,7 @@ def create_app(
     timezone : IANA name of the zone whose local times are shown with those in UTC.
     is_replay : whether the frames' clock is that of a replay or of a simulation.
     moves : the pictures before and after moves; None where there are none.
+    obstructions : the mask that the images have shown; None where no images are seen.
     pictures : lists the pictures of a source that are not among `images`; None where there are none.
     stopping : returns whether the service is about to stop: streams of events end then.
     """
@@ -196,6 +200,7 @@ def create_app(
         timezone=timezone,
         is_replay=is_replay,
         moves=moves,
+        obstructions=obstructions,
         pictures=pictures,
         stopping=stopping,
         token=admission.read_token(options.token_file, setting="api.token_file"),
@@ -318,6 +323,7 @@ def add_camera_routes(app: FastAPI, context: ApiContext) -> None:
         image_routes(context),
         remap_routes(context, files),
         mask_routes(context, files),
+        obstruction_routes(context),
         day_air_routes(context),
         move_routes(context),
         refit_routes(context),

@@ -21,6 +21,7 @@ from sunarc.common.errors import InputError, NotFoundError
 from sunarc.imager.archive.archive import Archive
 from sunarc.imager.archive.images import ImageStore
 from sunarc.imager.archive.move_pictures import MovePictures
+from sunarc.imager.archive.obstructions import ObstructionLearner
 from sunarc.imager.archive.values import CalibrationRecord, Refit
 from sunarc.imager.runtime.status import StatusSnapshot
 from sunarc.imager.web.options import ApiOptions
@@ -144,6 +145,7 @@ class ApiContext:
     latest_image: Callable[[], Path | None]
     images: ImageStore | None
     moves: MovePictures | None
+    obstructions: ObstructionLearner | None
     options: ApiOptions
     token: bytes | None = field(repr=False)
     sites: DaySites
@@ -191,6 +193,7 @@ class ApiContext:
             latest_image=lambda: None,
             images=None,
             moves=None,
+            obstructions=None,
             pictures=None,
             request_refit=refuse_refit,
         )

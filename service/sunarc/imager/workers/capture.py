@@ -489,6 +489,7 @@ class ComposeWorker:
     options : the sensor.
     describe : text of a composite's file about itself.
     board : where a disk that refuses is reported.
+    show : called with each composite and its time.
     """
 
     cycles: DropOldestQueue[Sequence[Frame]]
@@ -497,6 +498,7 @@ class ComposeWorker:
     options: SensorOptions
     describe: Callable[[Sequence[Frame], HdrImage], Mapping[str, Any]]
     board: StatusRegistry
+    show: Callable[[Image, datetime], None] = lambda _image, _time: None
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Work until stopped, and then until nothing waits."""
@@ -528,6 +530,7 @@ class ComposeWorker:
             self.board.set_condition(NOT_WRITTEN, condition(NOT_WRITTEN, error=str(error)))
         else:
             self.board.set_condition(NOT_WRITTEN, None)
+        self.show(composite.image, captured_at)
 
 
 def encode(image: Image, suffix: str) -> bytes:

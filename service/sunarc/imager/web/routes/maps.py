@@ -28,6 +28,7 @@ from sunarc.formats.formats import FORMATS
 from sunarc.formats.remap import Grid, grid_directions, reach_m, remap_table, remap_tables, remapped
 from sunarc.formats.tables import MAP_FORMATS, MapFormat, map_table, table_bytes
 from sunarc.geolocation.locate import clouds
+from sunarc.imager.archive.obstructions import LearnedObstructions
 from sunarc.imager.archive.values import CalibrationRecord
 from sunarc.imager.web.bulk import ComputeSlots
 from sunarc.imager.web.context import ApiContext
@@ -120,7 +121,9 @@ def _tag(requested: _Map) -> str:
     context, record = requested.context, requested.record
     path = context.options.obstruction_mask if record.camera == context.camera else None
     changed = path.stat().st_mtime_ns if path is not None and path.exists() else None
-    parts = (record.id, sunarc.__version__, requested.format, requested.sun, requested.site, path, changed)
+    learned = _learned(context, record) if path is None else None
+    shown = None if learned is None else learned.time
+    parts = (shown, record.id, sunarc.__version__, requested.format, requested.sun, requested.site, path, changed)
     return etag_of(repr(parts).encode())
 
 
@@ -140,10 +143,16 @@ def _flags(holds: BoolArray, text: str, meanings: str, more: Mapping[str, Any]) 
 
 
 def hidden_by_obstructions(context: ApiContext, record: CalibrationRecord) -> BoolArray | None:
-    """Return (rows, columns): which pixels `api.obstruction_mask` calls hidden; None where it is not set."""
+    """Return (rows, columns): which pixels are hidden: by `api.obstruction_mask`, else as the images have shown.
+
+    None where neither is there.
+    """
     path = context.options.obstruction_mask
-    if path is None or record.camera != context.camera:
+    if record.camera != context.camera:
         return None
+    if path is None:
+        learned = _learned(context, record)
+        return None if learned is None else learned.mask.hidden()
     try:
         image = decoded(read_regular(path), cv2.IMREAD_GRAYSCALE)
     except OSError as error:
@@ -152,6 +161,12 @@ def hidden_by_obstructions(context: ApiContext, record: CalibrationRecord) -> Bo
     if image is None or image.shape != (camera.height, camera.width):
         raise OutsideError(f"api.obstruction_mask {path}: is not an image of {camera.width}x{camera.height} pixels")
     return np.asarray(image == 0)
+
+
+def _learned(context: ApiContext, record: CalibrationRecord) -> LearnedObstructions | None:
+    """Return the learned mask where a calibration has the pose epoch of the mask's own."""
+    found = None if context.obstructions is None else context.obstructions.learned
+    return found if found is not None and found.pose_epoch == (record.pose_epoch or "") else None
 
 
 def _obstructions(context: ApiContext, record: CalibrationRecord) -> dict[str, Variable]:

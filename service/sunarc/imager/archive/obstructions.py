@@ -1,0 +1,203 @@
+"""Obstructions that the images of a camera have shown: sums in one file, the mask and the horizon they make."""
+
+from __future__ import annotations
+
+import io
+import json
+import logging
+import math
+import threading
+import zipfile
+from dataclasses import fields, replace
+from datetime import datetime
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sunarc.calibration.model.result import Calibration
+from sunarc.common.array_types import Image
+from sunarc.common.errors import InputError, OutsideError
+from sunarc.common.findings import Finding
+from sunarc.imager.archive.archive import CameraArchive
+from sunarc.imager.archive.images import write_atomically
+from sunarc.imaging.horizon import HorizonProfile, horizon_profile
+from sunarc.imaging.obstructions import (
+    CellGrid,
+    Change,
+    ObstructionMask,
+    ObstructionSums,
+    carried_over,
+    cell_grid,
+    mask_changes,
+    no_sums,
+    obstruction_mask,
+    updated_sums,
+)
+from sunarc.sky.sun import sun_directions
+
+_log = logging.getLogger(__name__)
+_EVERY_S = 300.0
+"""Between images that are used; they share votes of ten minutes."""
+_MASK_EVERY_S = 6.0 * 3600.0
+"""Between masks, and between writes of the sums."""
+_SAME_DEG = 0.2
+"""Turn of the camera below which its cells show the same directions, about half a cell."""
+
+
+class LearnedObstructions(NamedTuple):
+    """The mask and the horizon of the last six hours' sums, and the calibration they are of."""
+
+    calibration: str
+    pose_epoch: str
+    time: datetime
+    mask: ObstructionMask
+    horizon: HorizonProfile
+
+
+class ObstructionLearner:
+    """Learns the obstructions of a camera from its images; any thread may ask for the mask.
+
+    Parameters
+    ----------
+    camera : its archive and site.
+    path : the file of the sums; where it is lost or damaged, learning begins anew.
+    """
+
+    def __init__(self, camera: CameraArchive, path: Path) -> None:
+        self._camera, self._path, self._lock = camera, path, threading.Lock()
+        self._sums: ObstructionSums | None = None
+        self._grid: CellGrid | None = None
+        self._model: Calibration | None = None
+        self._calibration, self._pose_epoch = "", ""
+        self._learned: LearnedObstructions | None = None
+        self._written_s = -math.inf
+
+    @property
+    def learned(self) -> LearnedObstructions | None:
+        """What is served; None before there was a clear day."""
+        return self._learned
+
+    @property
+    def missing(self) -> str:
+        """Return what there is too little of for a mask, as a sentence."""
+        if self._sums is None:
+            return "no image has been compared with a calibration yet"
+        return f"too little sunshine was seen: {self._sums.missing_h:.1f} h more are needed"
+
+    def take(self, image: Image, time: datetime) -> None:
+        """Use an image, unless one of the last minutes was used; what cannot be used or written is left out."""
+        unix_s = time.timestamp()
+        with self._lock:
+            if self._sums is not None and 0.0 <= unix_s - self._sums.unix_s < _EVERY_S:
+                return
+            try:
+                self._take(image, time)
+            except (InputError, OutsideError, OSError) as error:
+                _log.warning("an image could not be used for the obstruction mask: %s", error)
+
+    def _take(self, image: Image, time: datetime) -> None:
+        archive = self._camera.archive.calibrations
+        record = archive.current(self._camera.name)
+        if record is None:
+            return
+        if record.id != self._calibration:
+            self._follow(record.id, archive.model(record.id))
+            self._pose_epoch = record.pose_epoch or ""
+        if self._sums is None or self._grid is None or self._model is None:
+            return
+        sun = np.asarray(sun_directions(time.timestamp(), self._camera.site))
+        self._sums = updated_sums(self._sums, image, self._grid, sun=sun, unix_s=time.timestamp())
+        if abs(time.timestamp() - self._written_s) >= _MASK_EVERY_S or (self._learned is None and self._sums.is_ready):
+            self._renew(time)
+
+    def _follow(self, calibration: str, model: Calibration) -> None:
+        """Take a new calibration; after a turn of the camera the evidence is carried over by directions."""
+        grid = cell_grid(model.camera)
+        sums = self._sums
+        if sums is None:
+            calibration_before, sums = _read(self._path)
+            before = self._known(calibration_before)
+        else:
+            before = self._model
+        if sums is None or before is None or sums.log_odds.shape != grid.shape:
+            sums = no_sums(grid)
+        elif _turn_deg(before, model) > _SAME_DEG:
+            sums, self._learned = carried_over(sums, before.camera, grid), None
+        self._sums, self._grid, self._model, self._calibration = sums, grid, model, calibration
+
+    def _known(self, calibration: str) -> Calibration | None:
+        try:
+            return self._camera.archive.calibrations.model(calibration) if calibration else None
+        except InputError:
+            return None
+
+    def _renew(self, time: datetime) -> None:
+        """Make the mask anew, store the sums, and write down what appeared or is gone."""
+        sums, grid, model = self._sums, self._grid, self._model
+        if sums is None or grid is None or model is None:
+            return
+        self._written_s = time.timestamp()
+        if sums.is_ready:
+            mask, before = obstruction_mask(sums, grid), self._learned
+            sigma_deg = float(np.nan_to_num(model.sky_rms_deg))
+            profile = horizon_profile(mask, model.camera, sigma_deg=sigma_deg)
+            self._learned = LearnedObstructions(self._calibration, self._pose_epoch, time, mask, profile)
+            for change in () if before is None else mask_changes(before.mask, mask):
+                self._camera.add_event(_finding(change), time=time, severity="info")
+        write_atomically(self._path, _bytes(self._calibration, sums))
+
+
+def _finding(change: Change) -> Finding:
+    azimuth_deg, elevation_deg, area_deg2 = (
+        round(value, 1) for value in (change.azimuth_deg, change.elevation_deg, change.area_deg2)
+    )
+    if change.appeared:
+        return Finding(
+            "obstruction_appeared",
+            {"azimuth_deg": azimuth_deg, "elevation_deg": elevation_deg, "area_deg2": area_deg2},
+        )
+    return Finding(
+        "obstruction_gone", {"azimuth_deg": azimuth_deg, "elevation_deg": elevation_deg, "area_deg2": area_deg2}
+    )
+
+
+def _turn_deg(before: Calibration, after: Calibration) -> float:
+    """Return the largest angle between the directions of two calibrations' corners and centre."""
+    from sunarc.optics.inverse_table import inverse_table  # noqa: PLC0415 - only after a change
+
+    width, height = after.camera.width, after.camera.height
+    at = np.array([[x * width, y * height] for x in (0.3, 0.5, 0.7) for y in (0.3, 0.5, 0.7)])
+    one, other = (inverse_table(model.camera).directions(at) for model in (before, after))
+    cosine = np.clip(np.nansum(one * other, axis=-1), -1.0, 1.0)
+    return float(np.degrees(np.arccos(np.min(cosine))))
+
+
+_ARRAYS = ("log_odds", "texture", "contrast", "last")
+
+
+def _bytes(calibration: str, sums: ObstructionSums) -> bytes:
+    plain = {one.name: getattr(sums, one.name) for one in fields(sums) if one.name not in _ARRAYS}
+    plain["counts"] = dict(sums.counts)
+    text = json.dumps({"calibration": calibration, **plain})
+    content = io.BytesIO()
+    arrays = {name: getattr(sums, name).astype(np.float16) for name in _ARRAYS}
+    np.savez_compressed(content, plain=np.array(text), **arrays)
+    return content.getvalue()
+
+
+def _read(path: Path) -> tuple[str, ObstructionSums | None]:
+    """Return the calibration and the sums of a file; none where there is no such file, or it is damaged."""
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
+            plain: dict[str, Any] = json.loads(str(stored["plain"]))
+            arrays = {name: stored[name].astype(np.float32) for name in _ARRAYS}
+        calibration = str(plain.pop("calibration"))
+        sums = replace(ObstructionSums(**arrays), **plain)
+        whole = sums.log_odds.shape == sums.texture.shape == sums.contrast.shape
+        return (calibration, sums) if whole and all(np.isfinite(one).all() for one in arrays.values()) else ("", None)
+    except FileNotFoundError:
+        return "", None
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        _log.warning("the sums of the obstruction mask are damaged, and begin anew: %s", error)
+        return "", None
