@@ -77,7 +77,7 @@ class Cluster:
         return [found.get(number) for number in range(len(given))]
 
     def look(self, chunks: Sequence[Chunk], done: Done, *, run: Callable[[Chunk], list[Answer]] = look_at) -> None:
-        """Have all chunks looked at; `done` is called with each and its answers, in the order in which they come.
+        """Have all chunks processed; `done` is called with each and its answers, in the order in which they come.
 
         `run` is what a worker does with a chunk.
 
@@ -131,7 +131,7 @@ class Cluster:
         return self.client.submit(run, given, key=key, pure=False)
 
     def _threads(self) -> int:
-        """Return how many chunks can be looked at at once; 1 while no scheduler answers."""
+        """Return how many chunks can be processed at once; 1 while no scheduler answers."""
         try:
             return sum((self.client.nthreads() or {}).values())
         except Exception as error:  # noqa: BLE001 - a lost scheduler raises one of many errors here
@@ -193,7 +193,7 @@ class ClusterWhenNeeded:
         return self._there().each(run, given) if given else []
 
     def look(self, chunks: Sequence[Chunk], done: Done, *, run: Callable[[Chunk], list[Answer]] = look_at) -> None:
-        """Have all chunks looked at; `done` is called with each and its answers."""
+        """Have all chunks processed; `done` is called with each and its answers."""
         if chunks:
             self._there().look(chunks, done, run=run)
 
@@ -246,7 +246,7 @@ def _client(address: str) -> Any:  # noqa: ANN401 - of `distributed`
 
 
 def _outcome(future: Any) -> tuple[str, object]:  # noqa: ANN401 - of `distributed`
-    """Return what came of a future: "done" with its result, "killed" its workers, "lost", or "waiting" again."""
+    """Return the outcome of a future: "done" with its result, "killed" its workers, "lost", or "waiting" again."""
     try:
         return "done", future.result(timeout=_RESULT_S)
     except Exception as error:  # those of `distributed` are imported with it alone
@@ -273,7 +273,7 @@ def _divided(chunk: Chunk, done: Done) -> list[tuple[Chunk, Chunk]]:
 
 
 def _quietly(close: Callable[..., object], **arguments: object) -> None:
-    """Close what may be broken already."""
+    """Close an object that may be broken already."""
     try:
         close(**arguments)
     except Exception as error:  # noqa: BLE001 - nothing depends on it any more

@@ -78,7 +78,7 @@ class FittedPose(NamedTuple):
 
 
 def with_changes_within(points: Sightings, states: Sequence[State], camera: ArchiveCamera) -> list[State]:
-    """Return states with those of changes that are smaller than what a single sighting shows.
+    """Return states without those of the changes that are smaller than a single sighting shows.
 
     Parameters
     ----------
@@ -311,7 +311,7 @@ class CameraSightings(NamedTuple):
 
 
 class Rough(NamedTuple):
-    """States and epochs after the first pass, and what is doubtful or why there are none."""
+    """States and epochs after the first pass, and the doubts about them, or the reason why they are missing."""
 
     states: tuple[State, ...] = ()
     epochs: tuple[Epoch, ...] = ()
@@ -385,7 +385,7 @@ def _drifts(calibration: Calibration) -> bool:
 
 
 def _drift_of(final: Final, given: CameraSightings, noise: FloatArray, run: Sequence[Epoch]) -> PoseChange | None:
-    """Return what the sightings of consecutive epochs say of a drift, about the camera of the longest of them."""
+    """Return the drift that the sightings of consecutive epochs show, about the camera of the longest of them."""
     state = final.states[_longest(run).state]
     rows = slice(run[0].first, run[-1].last + 1)
     seen = given.camera.shifted(given.points.select(rows), state.clock_offset_s)
@@ -430,7 +430,7 @@ def _of_path(former: Final, final: Final, points: Sightings) -> Final:
 
 
 def _allowing_for_drift(final: Final, given: CameraSightings, noise: FloatArray) -> Final:
-    """Return calibrations whose uncertainty allows for what their epochs' sightings say of a drift."""
+    """Return calibrations whose uncertainty allows for the drift that their epochs' sightings show."""
     fitted = dict(final.fitted)
     spread = {pose: np.zeros(3) for pose, one in fitted.items() if one.calibration.verdict.accepted}
     for epoch in final.epochs:
@@ -551,7 +551,7 @@ def _held_to_days(final: Final, given: CameraSightings, noise: FloatArray) -> Fi
 
 
 class Starry(NamedTuple):
-    """Accepted sightings of a camera, what came of them, and the stars of its nights."""
+    """Accepted sightings of a camera, their outcome, and the stars of its nights."""
 
     given: CameraSightings
     final: Final

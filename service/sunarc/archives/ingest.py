@@ -51,16 +51,16 @@ _QUARTER_S = 900.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class IngestOptions:
-    """How a folder is ingested.
+    """Options of the ingest of a folder.
 
     Attributes
     ----------
     method : see `detect_in_image`.
     rules : how times are read.
     files : which files are the camera's, a pattern of `fnmatch` for their names.
-    only : of these the ones to be looked at, by their paths below the folder; None for all.
-    reprocess : look at images again that are known, in place of their former sightings.
-    processes : how many images are looked at at once.
+    only : of these the ones to be read, by their paths below the folder; None for all.
+    reprocess : read images again that are known, in place of their former sightings.
+    processes : how many images are read at once.
     contact_sheet : file of the contact sheet; None for `ingest/contact-sheet.png` in the state folder.
     """
 
@@ -76,14 +76,14 @@ class IngestOptions:
 def ingest_folder(
     settings: Settings, folder: Path, *, options: IngestOptions, progress: ReportProgress = lambda *_: None
 ) -> IngestSummary:
-    """Look for the sun in every image below a folder, and store what was found.
+    """Look for the sun in every image below a folder, and store the sightings.
 
     First without a prediction; then the states that explain most sightings predict the sun, and images whose sighting
-    is not there are looked at again: reflections, ghosts and clouds are distinguished from the sun. What stands still
+    is not there are read again: reflections, ghosts and clouds are distinguished from the sun. What stands still
     in the images takes no part. Images of the night go to `ingest_nights`.
 
     An image is known by its time, exposure and file name; one that is known is left as it is unless `reprocess` is set
-    or another method is asked for. Images of one time are a stack: they are looked at together, and the first one's
+    or another method is asked for. Images of one time are a stack: they are read together, and the first one's
     sighting is that of all. What was done is in the archive after every few images.
 
     Parameters
@@ -244,7 +244,7 @@ def _is_refusal(found: Found) -> bool:
 
 
 def _misfits_px(points: Sightings, rough: Rough, camera: ArchiveCamera) -> list[float]:
-    """Return by how much each state's sightings scatter beyond what they and its covariance state."""
+    """Return the scatter of each state's sightings beyond their own and its covariance."""
     misfits = []
     for number, one in enumerate(rough.states):
         rows = [np.arange(epoch.first, epoch.last + 1) for epoch in rough.epochs if epoch.state == number]
@@ -290,7 +290,7 @@ class FolderLedger:
 
     Attributes
     ----------
-    looked_at : images that were looked at without a prediction.
+    looked_at : images that were read without a prediction.
     failures : those of them that are left out.
     set_aside : of pictures of one time in several folders what was set aside, by their paths.
     """
@@ -341,7 +341,7 @@ class FolderLedger:
             self._write()
 
     def mask(self, camera: str, *, version: str) -> KeptMask | None:
-        """Return that there is none to be made where no image is to be looked at."""
+        """Return that no mask is to be made where no image is to be read."""
         del camera, version
         known = self._known()
         return (
@@ -349,7 +349,7 @@ class FolderLedger:
         )
 
     def keep_mask(self, camera: str, mask: PackedMask | None, *, version: str) -> None:
-        """Keep nothing: new images show what stands still as well."""
+        """Keep nothing: new images show the static parts as well."""
 
     def found(self) -> dict[ArchiveImage, FileSighting]:
         """Return the sighting that counts of each image: the accepted one, else the one stored last."""
@@ -385,7 +385,7 @@ class FolderLedger:
 
     @cached_property
     def _factors(self) -> dict[str, float]:
-        """By what each method's stated sigma is multiplied."""
+        """Return the factor of each method's stated sigma."""
         return {one: factor_in_force(self.archive, self.settings.name, one) for one in get_args(DetectionMethod)}
 
     def _stored(self) -> list[FileSighting]:
@@ -402,7 +402,7 @@ class FolderLedger:
         """Give sightings whose file is not here the name and folder of an image of their time and exposure.
 
         It has the same name, or is the first one where that is not known (version 0.2): a folder that is ingested by
-        another of its parents, or was moved, has the images that were looked at.
+        another of its parents, or was moved, has the images that were read.
         """
         stored, here = {one.key: None for one in self._stored()}, {image.key for image in self.camera.images}
         free: dict[ImageKey, list[ImageKey]] = {}
@@ -420,7 +420,7 @@ class FolderLedger:
         self.archive.sightings.rename_files(self.settings.name, renamed)
 
     def _is_there(self, key: ImageKey) -> bool:
-        """Return whether a file is below the folder, though it is not looked at in this run."""
+        """Return whether a file is below the folder, though it is not read in this run."""
         root = Path(name_path(self.camera.plan.selector.sources[0]))
         return key.folder != "" and is_regular(root / name_path(key.folder) / name_path(key.file.partition("#")[0]))
 

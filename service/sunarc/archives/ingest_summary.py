@@ -1,4 +1,4 @@
-"""What a run over a folder came to: counts, reasons, and a sheet with examples of each verdict."""
+"""Summary of a run over a folder: counts, reasons, and a sheet with examples of each verdict."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ class IngestSummary:
 
     Attributes
     ----------
-    accepted, rejected : images looked at in this run, by whether a fit may use their sighting.
-    stacked : images looked at in this run whose sighting is that of another image of the same time.
+    accepted, rejected : images read in this run, by whether a fit may use their sighting.
+    stacked : images read in this run whose sighting is that of another image of the same time.
     known : images that were in the archive before, and were left as they were.
     by_verdict : all images of the folder in the archive, those known before among them, by the verdict on them.
     skipped : images that were left out, with the reason.
     contact_sheet : picture with examples of each verdict; None where there is no image.
     camera_findings : why no camera could predict the sun in some images, and what of it has to be set.
-    nights : nights whose images were looked at in this run.
-    nights_known : images of nights that were looked at before.
+    nights : nights whose images were read in this run.
+    nights_known : images of nights that were read before.
     """
 
     accepted: int
@@ -79,7 +79,7 @@ _EXAMPLES = 5
 TILE_PX = 220
 TITLE_PX = 30
 _CROP_RADII = 6.0
-"""Half a crop's side, in radii of what was found."""
+"""Half a crop's side, in radii of the sun that was found."""
 _LEAST_CROP_PX = 24
 ACCEPTED, REJECTED, _TEXT = (0, 200, 0), (0, 140, 255), (230, 230, 230)
 
@@ -89,7 +89,7 @@ _Picture = np.ndarray[Any, np.dtype[np.uint8]]
 def write_contact_sheet(found: Mapping[ArchiveImage, FileSighting], target: Path) -> None:
     """Write a PNG with a row of pictures for each verdict, the most frequent first.
 
-    An example is the whole image with a mark, and beside it a crop around the mark at its own brightness. They are
+    An example is the whole image with a mark, and next to it a crop around the mark at its own brightness. They are
     spread evenly over the folder.
 
     Raises

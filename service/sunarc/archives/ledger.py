@@ -1,7 +1,7 @@
-"""What was found already: an answer for each image and pass, so that a run goes on where it was.
+"""Results of earlier runs: an answer for each image and pass, so that a run goes on where it was.
 
 A database of its own, in the output folder or at an address of SQLAlchemy: it is a cache of what workers answered.
-Other code of this software looks at the images again, so that nothing has to be migrated. Results that rest on many
+Other code of this software reads the images again, so that nothing has to be migrated. Results that rest on many
 images (states, fits, exports) are kept by a hash of what they were made of.
 """
 
@@ -90,7 +90,7 @@ class Known(NamedTuple):
 
     Attributes
     ----------
-    key : of what decided it beside the file: version, method, mask, prediction.
+    key : of the values that decided it with the file: version, method, mask, prediction.
     found : what it was.
     stamp : of the file's size and time when it was last read, or of its checksum in an archive.
     content : hash of the file's bytes; None where the file was not read as a whole.
@@ -103,7 +103,7 @@ class Known(NamedTuple):
 
 
 class KeptMask(NamedTuple):
-    """What stands still in a camera's images, as it was seen once; None where nothing does."""
+    """Static parts of a camera's images, as they were seen once; None without any."""
 
     mask: PackedMask | None
 
@@ -217,14 +217,14 @@ class Ledger:
             connection.execute(sa.insert(_MASK), [row])
 
     def result(self, name: str, key: str) -> Any:  # noqa: ANN401 - of any type
-        """Return what was kept under a name; None where nothing was, or it was made of something else."""
+        """Return the result kept under a name; None without one, or where it was made of something else."""
         rows = sa.select(_RESULT.c.content).where(_RESULT.c.name == content_key(name), _RESULT.c.key == key)
         with self._connected() as connection:
             content = connection.scalar(rows)
         return None if content is None else _unpacked(content)
 
     def keep_result(self, name: str, key: str, value: object) -> None:
-        """Keep a result under a name in place of the former one, with the hash of what it was made of."""
+        """Keep a result under a name in place of the former one, with the hash of the values it was made of."""
         # by its hash: a name holds paths, which may be longer than a column
         row = {"name": content_key(name), "key": key, "content": pickle.dumps(value, protocol=5)}
         with self._connected() as connection:
@@ -234,7 +234,7 @@ class Ledger:
     def each(
         self, make: ParallelMap, run: Callable[[Given], Made], given: Sequence[Given], *, names: Sequence[str]
     ) -> list[Made | None]:
-        """Return the result of a function for each of some values; what was made of the same values is not made again.
+        """Return the result of a function for each of some values; a result of the same values is not made again.
 
         Parameters
         ----------
@@ -286,7 +286,7 @@ def content_key(value: object) -> str:
 
     Raises
     ------
-    TypeError : something in it is none of these.
+    TypeError : a value of another type is in it.
     """
     hashed = hashlib.blake2b(digest_size=12)
     for part in _parts(value):

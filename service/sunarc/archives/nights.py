@@ -28,7 +28,7 @@ _DIGITS = 4
 
 
 class CameraNight(NamedTuple):
-    """A night of a camera: what names its stars, and the images that are looked at."""
+    """A night of a camera: the calibration that names its stars, and its images."""
 
     naming: StarNaming
     images: tuple[ArchiveImage, ...]
@@ -36,7 +36,7 @@ class CameraNight(NamedTuple):
 
     @property
     def key(self) -> str:
-        """Hash of all that the names rest on: of a night all images are looked at again, or none."""
+        """Hash of all values that the names rest on: of a night all images are read again, or no image."""
         calibration, camera = self.naming.calibration, self.naming.calibration.camera
         model = (camera, calibration.covariance.tobytes(), self.naming.site, self.naming.clock_offset_s)
         return key_of((model, self.images))
@@ -51,11 +51,11 @@ class CameraNights(NamedTuple):
 
     @property
     def images(self) -> tuple[ArchiveImage, ...]:
-        """Those that are looked at, night by night."""
+        """Images to be read, night by night."""
         return tuple(image for night in self.nights for image in night.images)
 
     def work(self) -> Work:
-        """Return the images as the passes take them: a night of which one image waits is looked at as a whole."""
+        """Return the images as the passes take them: a night of which one image waits is read as a whole."""
         items = [_item(one) for one in self.images]
         keys = [key for night in self.nights for key in [night.key] * len(night.images)]
         camera = replace(self.camera, images=self.images)
@@ -85,7 +85,7 @@ class ImageWithStars(NamedTuple):
 
 
 class NightsLooked(NamedTuple):
-    """The nights of a camera, and what was found in their images, in the order of `nights.images`."""
+    """The nights of a camera, and the stars in their images, in the order of `nights.images`."""
 
     nights: CameraNights
     looked: Looked
@@ -132,7 +132,7 @@ def _by_source(images: Sequence[ArchiveImage]) -> list[list[ArchiveImage]]:
 
 
 def name_stars(chunk: Chunk) -> list[Answer]:
-    """Return the named stars of each image of a night, or the finding why there are none."""
+    """Return the named stars of each image of a night, or the finding why they are missing."""
     cv2.setNumThreads(1)
     naming = chunk.night
     if naming is None:
@@ -157,7 +157,7 @@ def name_stars(chunk: Chunk) -> list[Answer]:
 
 
 def _view(image: Image, item: Item, naming: StarNaming, warm: WarmPixelMap) -> StarView:
-    """Return the detections of an image, beside the stars that are predicted at the time that its clock truly meant."""
+    """Return the detections of an image, and the stars that are predicted at the time that its clock truly meant."""
     unix_s = item.unix_s - naming.clock_offset_s
     frame = frame_of(image, unix_s, item.exposure_us, item.number)
     stars = detect_stars(warm.repair(frame, None), full_scale=frame.full_scale)

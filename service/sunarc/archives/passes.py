@@ -45,12 +45,12 @@ _LEAST_MOTION_DEG = 40.0
 most, and has to leave every place."""
 _PIXEL_STEP, _SIGMA_STEP, _STRETCH_STEP, _ZENITH_STEP = 0.25, 0.5, 5.0, 0.01
 """Steps that predictions are rounded to, in px, px, px/rad and rad: a calibration that new images refine must not have
-all former ones looked at again."""
+all former ones read again."""
 _FEW = 5
 
 
 class FoundSun(NamedTuple):
-    """What a run keeps of a detection: all of it stands in the ledger. Without a position where it was rejected."""
+    """A run's record of a detection: all of it stands in the ledger. Without a position where it was rejected."""
 
     accepted: bool
     verdict: Verdict
@@ -65,7 +65,7 @@ Result = TypeVar("Result")
 
 
 class Looked(NamedTuple):
-    """A camera's images with what was found in each, in their order."""
+    """A camera's images with the detection in each, in their order."""
 
     images: tuple[ArchiveImage, ...]
     found: tuple[Found, ...]
@@ -82,7 +82,7 @@ class Looked(NamedTuple):
 
 
 class Work(NamedTuple):
-    """Images of a camera to look at, by their number among its images, and what stands still in them.
+    """Images of a camera to read, by their number among its images, and the static parts of them.
 
     keys: hash of what each of its answers rests on; None where the item states that. chunks: divides images that wait,
     by their numbers, into units of work; None: by source and day.
@@ -118,18 +118,18 @@ class ChunkRunner(Protocol):
         """Return the result of a function for each of some values; None where it could not be done."""
 
     def look(self, chunks: Sequence[Chunk], done: Done, *, run: Callable[[Chunk], list[Answer]] = look_at) -> None:
-        """Have all chunks looked at; `done` is called with each and its answers."""
+        """Have all chunks processed; `done` is called with each and its answers."""
 
 
 class Passes(NamedTuple):
-    """What both passes need of a run."""
+    """Inputs of both passes of a run."""
 
     ledger: AnswerStore
     cluster: ChunkRunner
     progress: ReportProgress
 
     def masks(self, cameras: Sequence[CameraImages]) -> list[PackedMask | None]:
-        """Return what stands still in each camera's images; what was seen once is kept: all answers rest on it."""
+        """Return the static parts of each camera's images; a mask is made once and kept: all answers rest on it."""
         kept = [self.ledger.mask(camera.plan.name, version=software()) for camera in cameras]
         new = [camera for camera, mask in zip(cameras, kept, strict=True) if mask is None]
         moving = [camera for camera in new if _motion_deg(camera) >= _LEAST_MOTION_DEG]
@@ -140,7 +140,7 @@ class Passes(NamedTuple):
         return [found.get(one.plan.name) if k is None else k.mask for one, k in zip(cameras, kept, strict=True)]
 
     def search(self, cameras: Sequence[CameraImages], masks: Sequence[PackedMask | None]) -> list[Looked]:
-        """Return what is found in each camera's images without a prediction."""
+        """Return the detections in each camera's images without a prediction."""
         work = (
             Work(one, [(n, Item(i.file, i.number, i.exposure_us)) for n, i in enumerate(one.images)], mask)
             for one, mask in zip(cameras, masks, strict=True)
@@ -154,7 +154,7 @@ class Passes(NamedTuple):
         expected: Iterable[Sequence[Expectation | None]],
         masks: Sequence[PackedMask | None],
     ) -> list[Looked]:
-        """Return what is found where the sun is expected; a sighting that was found there already stays.
+        """Return the detections where the sun is expected; a sighting that was found there already stays.
 
         `expected` may be made as it is asked for: that of one camera is held at a time.
         """
@@ -220,7 +220,7 @@ class _Question:
 
     Attributes
     ----------
-    found : of each of its images; None where there is none yet, or it is not asked for.
+    found : of each of its images; None without one, or where it is not asked for.
     waiting : number and item of the images that the ledger has no answer for that holds. Where all but the stamp of the
         file does, the item has the hash of the content that was read: a file that was only touched keeps its answer.
     """
@@ -263,7 +263,7 @@ class _Question:
         return key_of((self._camera.images[row].stamp,))
 
     def _key(self, row: int, item: Item) -> str:
-        """Return the hash of all that an answer rests on beside the file."""
+        """Return the hash of all values that an answer rests on apart from the file."""
         if self._keys is not None:
             return key_of((software(), self._keys[row]))
         plan, size = self._camera.plan, self._camera.size
@@ -271,7 +271,7 @@ class _Question:
 
 
 def kept(found: Detection | NamedStars | Finding) -> Found:
-    """Return what a run keeps of an answer."""
+    """Return a run's record of an answer."""
     if isinstance(found, Finding | NamedStars):
         return found
     if not found.accepted:
@@ -359,7 +359,7 @@ def chunks_of(camera: CameraImages, items: Iterable[tuple[ArchiveImage, Item]], 
 def _stacks_of(work: Work, waiting: Mapping[int, Item]) -> list[Chunk]:
     """Return a unit of work for each time at which an image waits, with all images of that time.
 
-    Images that are alone at their time are together, unless they are to be looked at one by one.
+    Images that are alone at their time are together, unless they are to be read one by one.
     """
     plan, size = work.camera.plan, work.camera.size
     by_time: dict[int, list[tuple[int, Item]]] = {}
@@ -413,7 +413,7 @@ def predictions(
 
 
 def scatter_beyond_px(calibration: Calibration, points: Sightings, *, site: Site) -> float:
-    """Return by how much accepted sightings scatter about a camera beyond what they state, px per axis.
+    """Return the scatter of accepted sightings about a camera beyond their sigma, px per axis.
 
     That of the fit where they are too few to determine it.
     """

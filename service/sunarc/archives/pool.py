@@ -1,4 +1,4 @@
-"""Chunks looked at in processes of this machine, in their order; the caller alone keeps what is found."""
+"""Chunks processed in processes of this machine, in their order; the caller alone keeps the results."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def usable_processors() -> int:
 
 
 class ProcessRunner:
-    """Looks at chunks in so many processes; see `ChunkRunner`. Fewer chunks than they are worth are looked at here."""
+    """Processes chunks in so many processes; see `ChunkRunner`. Fewer chunks than they are worth are processed here."""
 
     def __init__(self, processes: int) -> None:
         self._processes = processes
@@ -42,7 +42,7 @@ class ProcessRunner:
         return [run(one) for one in given]
 
     def look(self, chunks: Sequence[Chunk], done: Done, *, run: Run = look_at) -> None:
-        """Have all chunks looked at; `done` is called with each and its answers, in their order.
+        """Have all chunks processed; `done` is called with each and its answers, in their order.
 
         An image whose process dies (a fault of a decoder, too little memory) is left out, and the others go on.
         """

@@ -1,4 +1,4 @@
-"""What a run is written as: tables, calibrations, masks and exports; the same archive gives the same bytes."""
+"""Output of a run: tables, calibrations, masks and exports; the same archive gives the same bytes."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Horizon(NamedTuple):
 
 
 def learn_horizon(looked: Looked, expected: Sequence[Expectation | None], size: tuple[int, int]) -> Horizon:
-    """Return what hides the sun in a camera's images.
+    """Return the horizon that hides the sun in a camera's images.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ Document = dict[str, Any]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraResult:
-    """What came of a camera.
+    """Result of a camera.
 
     Attributes
     ----------
@@ -133,7 +133,7 @@ class CameraResult:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Summary:
-    """What a run came to: `report.json`; calibration documents by camera and epoch, and why an export is missing."""
+    """Summary of a run: `report.json`; calibration documents by camera and epoch, and why an export is missing."""
 
     report: Document
     documents: Mapping[tuple[str, str], Document]
@@ -192,7 +192,7 @@ _NUMBERS_FOUND = ("x_px", "y_px", "sigma_px", "radius_px", "ellipticity", "peak_
 
 
 def _write_detections(folder: Path, results: Sequence[CameraResult], ledger: Ledger) -> None:
-    """Write what was found in each image as Parquet, a folder for each camera, where pyarrow is installed.
+    """Write the detections in each image as Parquet, a folder for each camera, where pyarrow is installed.
 
     A file that was written of the same answers stays as it is.
     """
@@ -212,7 +212,7 @@ def _write_detections(folder: Path, results: Sequence[CameraResult], ledger: Led
 
 
 def _detections(result: CameraResult, ledger: Ledger) -> dict[str, Sequence[object]]:
-    """Return what was found in each image by columns: the answer that counts, with a rejected position, too."""
+    """Return the detections in each image by columns: the answer that counts, with a rejected position, too."""
     images = result.looked.images
     row_of = {id_of(image): row for row, image in enumerate(images)}
     columns: dict[str, list[object]] = {name: [None] * len(images) for name in ("verdict", "code", *_NUMBERS_FOUND)}

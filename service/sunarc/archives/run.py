@@ -1,4 +1,4 @@
-"""An archive analysed again: index, both passes, epochs, calibrations, and what is written of it."""
+"""An archive analysed again: index, both passes, epochs, calibrations, and its output."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ _DIED = Finding("camera_kills_workers", {"deaths": DEATHS})
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReanalysisOptions:
-    """How an archive is analysed.
+    """Options of the analysis of an archive.
 
     Attributes
     ----------
     target : folder of the results.
     store : address of the ledger (SQLAlchemy); None for `ledger.sqlite` in the folder.
-    workers : where the images are looked at.
+    workers : where the images are read.
     exports : whether the calibrations are written in all formats, too.
     provisional : whether a calibration that its sightings do not determine is kept, see `provisional`.
     """
@@ -71,7 +71,7 @@ def reanalyse(
     indexed : the cameras and their images.
     options : how.
     clock : for waits, and for the time that it took.
-    opened : called with the cluster once it is there; without new work there is none.
+    opened : called with the cluster once it is there; not called without new work.
     progress : called after every chunk.
 
     Raises
@@ -173,7 +173,7 @@ def _with_stars(
     passes: Passes,
     ledger: Ledger,
 ) -> dict[int, Final]:
-    """Return what came of the cameras that have stars, by number; what the stars' workers died of changes nothing."""
+    """Return the cameras with their stars, by number; an error of the stars' workers changes nothing."""
     starry: dict[int, Starry] = {}
     for number, one in final.items():
         stars = None if one is None else star_points(nights[number], one.states, one.epochs)

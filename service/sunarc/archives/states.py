@@ -56,7 +56,7 @@ _ALTERNATING = 0.15
 """Share of the sightings of a day that another state than the one before explains, from which they are those of two
 cameras: of images taken by turns it is a half and more, of a day on which a camera changes one sighting's."""
 _QUARTER_S = 900.0
-"""Clocks are wrong by time zones, which are whole quarters of an hour, or by what they drift."""
+"""Clocks are wrong by time zones, which are whole quarters of an hour, or by their drift."""
 _LARGEST_OFFSET_S = 14.0 * 3600.0
 _FINEST_S = 1.0
 """Step at which the search for an offset ends: the sun moves by 0.004 degrees."""
@@ -73,7 +73,7 @@ _LOOSE: dict[str, Any] = {
 
 
 _MISFIT_PX = 0.15
-"""1-sigma by which a state is wrong beside the noise of a day."""
+"""1-sigma by which a state is wrong in addition to the noise of a day."""
 
 
 class State(NamedTuple):
@@ -91,7 +91,7 @@ class State(NamedTuple):
 
 
 class ArchiveCamera(NamedTuple):
-    """What is known of a camera: site, image size (width, height), how it is fitted, and its image circle."""
+    """Description of a camera: site, image size (width, height), options of its fit, and its image circle."""
 
     site: Site
     size: tuple[int, int]
@@ -118,7 +118,7 @@ class ArchiveCamera(NamedTuple):
 
 
 class Found(NamedTuple):
-    """The states of a camera, in the order in which they were found; the finding why there are none."""
+    """The states of a camera, in the order in which they were found; the finding why they are missing."""
 
     states: tuple[State, ...]
     finding: Finding | None = None
@@ -237,7 +237,7 @@ def _next_state(
 
 
 def _state_of(states: Sequence[State], window: Sightings, camera: ArchiveCamera) -> tuple[State | None, Finding | None]:
-    """Return the state of some days, and why there is none."""
+    """Return the state of some days, and the reason why it is missing."""
     # of days that are partly explained, what is left is of the new state
     for state in states:
         rest = camera.distances(state, window) >= _near_px(state.sigma_px)
@@ -318,7 +318,7 @@ def _one_a_lens(states: Sequence[State]) -> list[State]:
 def _with_other_lens(
     states: Sequence[State], points: Sightings, camera: ArchiveCamera, *, determined: bool = True
 ) -> tuple[State | None, Finding | None]:
-    """Return a new lens, and why there is none; unless it has to be determined, also one that is not."""
+    """Return a new lens, and the reason why it is missing; unless it has to be determined, also one that is not."""
     clock = states[-1].clock_offset_s if states else 0.0
     options = replace(camera.loosely(), mirrored="auto")
     if states:  # a lens of another projection is met as well; an image may be flipped only where that is asked for
@@ -362,7 +362,7 @@ def _with_other_lens(
 
 
 def _of_explained_days(near: BoolArray, day: IntArray) -> BoolArray:
-    """Return which sightings are near, of the days (n,) of which most are: what fits a half of each is no camera."""
+    """Return which sightings are near, of the days (n,) of which most are: a fit of a half of each is no camera."""
     explained = [one for one in np.unique(day).tolist() if float(np.mean(near[day == one])) >= _EXPLAINED]
     return np.asarray(near & np.isin(day, explained))
 
@@ -499,7 +499,7 @@ def epochs_of(path: IntArray, states: Sequence[State], points: Sightings) -> lis
 
 
 def cause_of(former: State, state: State) -> EpochCause:
-    """Return what changed from one state to the next."""
+    """Return the change from one state to the next."""
     if state.lens != former.lens:
         return "lens"
     return "moved" if state.pose != former.pose else "clock"

@@ -69,7 +69,7 @@ _PROOF = 100.0
 """By how much the sightings since must be met better, as a difference of chi-squares."""
 _OUTLIER = 9.0
 _NEW = 1e-3
-"""Change of the camera or of what is stated, as a share of what is stated, below which a fit adds no information."""
+"""Change of the camera or of its stated values, as a share of its stated error, below which a fit is not new."""
 
 
 def in_any_season(calibration: Calibration, share: float) -> Calibration:
@@ -181,7 +181,7 @@ def sigmas_of(candidate: Calibration, current: Calibration) -> dict[str, float]:
 
 
 def _knows_more(candidate: Calibration, current: Calibration) -> bool:
-    """Return whether a fit rests on days that the current one does not know, and on about as much beside."""
+    """Return whether a fit rests on days that the current one does not know, and on about as much in addition."""
     new, old = candidate.evidence, current.evidence
     return bool(set(new.days) - set(old.days)) and new.n_used > 0.8 * old.n_used
 

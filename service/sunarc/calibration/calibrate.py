@@ -86,7 +86,7 @@ def prepared(
 
 
 def calibrate_chosen(lens: ChosenLens) -> Calibration:
-    """Return the calibration with the projection that was chosen, without what others say against it."""
+    """Return the calibration with the chosen projection, without the objections of others."""
     return _calibrated(lens.job, lens.fitted)
 
 

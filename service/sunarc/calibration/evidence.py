@@ -1,4 +1,4 @@
-"""How likely an explanation makes what was observed: the one comparison by which a change is decided.
+"""Likelihood of what was observed under an explanation: the one comparison by which a change is decided.
 
 What is observed (the residuals of sightings, a day's rotations) is normal about what an explanation predicts, its free
 numbers integrated out; single observations may be false. Four searches compare explanations by it: the monitor of each
@@ -72,7 +72,7 @@ leans within a decade."""
 
 
 class Weighed(NamedTuple, Generic[T]):
-    """An explanation, the logarithm of how likely it makes what was observed, and by how much it is rarer."""
+    """An explanation, the logarithm of its likelihood, and by how much it is rarer."""
 
     explanation: T
     log_evidence: float
@@ -327,7 +327,7 @@ def squared_sigmas(residual: FloatArray, covariance: FloatArray) -> FloatArray:
 
 
 def log_normal(covariance: FloatArray, sightings: PixelResiduals, inlier: BoolArray) -> float:
-    """Return the log density of the inliers together; 0 where there are none."""
+    """Return the log density of the inliers together; 0 without inliers."""
     if not np.any(inlier):
         return 0.0
     both = np.repeat(inlier, 2)

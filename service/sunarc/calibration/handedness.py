@@ -40,7 +40,7 @@ class Fitted(NamedTuple):
 
 
 class HandChoice(NamedTuple):
-    """The fit whose handedness is taken, the findings that refuse it, and those that are said of an accepted one."""
+    """The fit whose handedness is taken, the findings that refuse it, and those of an accepted one."""
 
     fitted: Fitted
     against: tuple[Finding, ...] = ()

@@ -180,7 +180,7 @@ class Noise:
 def measured_noise(
     residuals: FloatArray, observed: Sightings, groups: NoiseGroups, *, leverage: FloatArray | None = None
 ) -> Noise:
-    """Return the noise as it shows in what a fit leaves over.
+    """Return the noise by the residuals of a fit.
 
     Parameters
     ----------

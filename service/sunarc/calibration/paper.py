@@ -134,7 +134,7 @@ def _means(observed: Sightings, bins: Bins, camera: Camera) -> Sightings:
 
 
 def normal_inverse(normal: FloatArray) -> FloatArray:
-    """Return (J'J)⁻¹ with J's columns brought to one size first; what nothing determines comes out large."""
+    """Return (J'J)⁻¹ with J's columns brought to one size first; undetermined directions come out large."""
     size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     inverse = np.linalg.inv(normal / size[:, None] / size + 1e-14 * np.eye(size.size))
     return np.asarray(inverse / size[:, None] / size, dtype=np.float64)

@@ -1,6 +1,6 @@
 """A known lens in a new pose, from as few as three sightings, some of which may be false.
 
-What the calibration says of its lens, its field and its pose is the prior; the camera may since have turned by any
+The calibration's lens, field and pose are the prior; the camera may since have turned by any
 angle, whose scale is sought in the sightings too. What they cannot tell (after a few minutes the turn about the sun's
 own direction) thus stays as uncertain as turns of that size are.
 """
@@ -50,14 +50,14 @@ from sunarc.sky.site import Site
 # Sightings as a posing takes them: their noise, and neighbours taken together so that there are not too many.
 
 MOST = 80
-"""Sightings, or means of neighbours, that are looked at together."""
+"""Sightings, or means of neighbours, that are used together."""
 _UNKNOWN_SIGMA_PX = 0.5
 _SMALLEST_SIGMA_PX = 0.005
 _LARGEST_INFLATION = 25.0
 
 
 def noise_px(start: Calibration, sigma_px: FloatArray) -> FloatArray:
-    """Return (n,): 1-sigma per axis of sightings, never below what the calibration's own came to."""
+    """Return (n,): 1-sigma per axis of sightings, never below that of the calibration's own."""
     fit_sigma_px = start.evidence.sigma_px
     usual = fit_sigma_px if math.isfinite(fit_sigma_px) and fit_sigma_px > 0.0 else _UNKNOWN_SIGMA_PX
     estimated_sigma_px = np.where(np.isfinite(sigma_px) & (sigma_px > 0.0), sigma_px, usual)
@@ -65,7 +65,7 @@ def noise_px(start: Calibration, sigma_px: FloatArray) -> FloatArray:
 
 
 def with_noise(usable: Sightings, points: Sightings, start: Calibration) -> Sightings:
-    """Return what a fit can use of sightings, its sigma in px: as stated with them, see `noise_px`."""
+    """Return the usable sightings, their sigma in px: as stated with them, see `noise_px`."""
     return replace(usable, sigma_px=noise_px(start, points.sigma_px[usable.index]))
 
 
@@ -139,7 +139,7 @@ def estimate_pose(
     Parameters
     ----------
     points : sightings of one pose epoch.
-    start : the calibration of an earlier pose; its lens is kept, within what it says of itself.
+    start : the calibration of an earlier pose; its lens is kept, within its stated error.
     site : where the camera stands.
     options : what makes the answer acceptable.
     wander_deg : 1-sigma per axis by which the pose wanders about its mean (mast, heat); it widens the uncertainty.
@@ -255,7 +255,7 @@ def conditioned_pose(
 
 
 def _scales_for(angle_rad: float) -> FloatArray:
-    """Return the scales that a turn may have been drawn from: none of which it would be more than four sigmas."""
+    """Return the scales of a turn's prior: those with which it would be at most four sigmas."""
     return _SCALES_RAD[min(int(np.searchsorted(_SCALES_RAD, 0.25 * angle_rad)), _SCALES_RAD.size - 1) :]
 
 
@@ -332,7 +332,7 @@ def _mixed(fits: list[CameraErrorModel], log_weight: FloatArray) -> CameraErrorM
 
 
 def outcome_of(fit: PoseFit, start: Calibration, usable: Sightings, *, wander_rad: float) -> FitOutcome:
-    """Return what every method hands over; the turn's axes become those of the rotation vector."""
+    """Return the result of the pose's fit as every method's; the turn's axes become those of the rotation vector."""
     error_model, size = fit.error_model, fit.error_model.mean.size
     covariance = error_model.covariance.copy()
     covariance[np.ix_(error_model.rotation, error_model.rotation)] += wander_rad**2 * np.eye(3)

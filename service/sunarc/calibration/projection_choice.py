@@ -37,7 +37,7 @@ from sunarc.sky.directions import angular_distance
 _IMPOSSIBLE = -1e4
 """Log evidence below which the odds are not given any more."""
 _NEAR = 20.0
-"""Log evidence at the start, beside the best, within which a projection is fitted. Of 200 it rose by 44 at most by the
+"""Log evidence at the start, against the best, within which a projection is fitted. Of 200 it rose by 44 at most by the
 fit, and never changed which one is the best."""
 _LEAST_PROBABILITY = 0.01
 """Probability above which the difference to another projection's camera enters the stated uncertainty."""
@@ -53,7 +53,7 @@ most probable one."""
 class ProjectionChoice(NamedTuple):
     """The most probable projection, and the log evidence of each over its: 0 for itself, negative for the others.
 
-    `n` is the number of sightings that were looked at.
+    `n` is the number of sightings that were used.
     """
 
     projection: Projection
@@ -95,7 +95,7 @@ class ProjectionChoice(NamedTuple):
 
 
 class ChosenLens(NamedTuple):
-    """A job whose projection is stated or chosen, and the fits by which it was chosen; None and none where stated."""
+    """A job whose projection is stated or chosen, and the fits by which it was chosen; None and empty where stated."""
 
     job: Job
     choice: ProjectionChoice | None = None
@@ -103,7 +103,7 @@ class ChosenLens(NamedTuple):
 
     @property
     def fitted(self) -> Fitted | None:
-        """The fit with the projection; None where there is none yet."""
+        """The fit with the projection; None before it is fitted."""
         return None if self.choice is None else self.fits.get(self.choice.projection)
 
     def allowed_for(self, calibration: Calibration) -> Calibration:

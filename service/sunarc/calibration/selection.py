@@ -60,7 +60,7 @@ _DAY_BITS = 17
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SelectionOptions:
-    """How many sightings a fit uses, and which never.
+    """Numbers of sightings that a fit uses, and those that it never does.
 
     Attributes
     ----------
@@ -83,11 +83,11 @@ class SelectionOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Candidates:
-    """What of the sightings of a record decides which of them a fit uses.
+    """Columns of a record's sightings by which a fit selects.
 
     Attributes
     ----------
-    unix_s : (n,) seconds since 1970-01-01 UTC; NaN where a sighting is none.
+    unix_s : (n,) seconds since 1970-01-01 UTC; NaN where a sighting has no time.
     sigma_px : (n,) 1-sigma per axis; NaN where not stated.
     clock_error_s : (n,) NaN where unknown.
     epoch : (n,) which pose epoch, 0, 1, ….
@@ -118,7 +118,7 @@ class Selection:
     ----------
     index : (n,) rows of the sightings supplied, in the order of time.
     n_supplied, n_doubtful_clock, n_other_days, n_brackets, n_repeated : how many there were, and how many were left out
-        for their clock, for their day, beside another one of their slot, and in patches that were full.
+        for their clock, for their day, for another one of their slot, and in patches that were full.
     n_patches : patches of sky that the selected ones lie in; fill: how many sightings filled one.
     """
 
@@ -290,7 +290,7 @@ def _filled(passes: _Passes, options: SelectionOptions) -> tuple[int, BoolArray]
 # Which sightings of stars a fit uses: a few of each part of the image, the surest ones.
 
 MOST_STARS = 150
-"""Stars that a fit uses. Beside a day of the sun they tell what thousands do (docs/studies.md, "The night"); with
+"""Stars that a fit uses. With a day of the sun they tell as much as thousands (docs/studies.md, "The night"); with
 thousands the fit takes the lens's unmodelled field for noise, and states far too little."""
 _SECTORS, _RINGS = 12, 4
 

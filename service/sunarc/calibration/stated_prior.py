@@ -27,7 +27,7 @@ from sunarc.optics.projections import ideal_radius
 from sunarc.sky.site import Site
 
 _LARGEST_DEPARTURE = 3.0
-"""RMS departure from the prior in its own sigmas, over what the sightings determine: with one such quantity a right
+"""RMS departure from the prior in its own sigmas, over the determined quantities: with one such quantity a right
 prior exceeds it in 0.3 % of all cases, with more in fewer."""
 _DECENTERING_SHARE = 0.35
 """Decentering over residual radial distortion: that of the usual tolerances, `LensTolerances`."""
@@ -36,7 +36,7 @@ _RIGHT_ANGLE = math.pi / 2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PriorTolerances:
-    """How far a stated camera may be off: 1-sigma.
+    """Distance of a stated camera from the true one: 1-sigma.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class PriorTolerances:
     focal_length: Annotated[float, Gt(0.0), Le(0.2)] | None = None
 
     def __post_init__(self) -> None:
-        """Refuse tolerances that are none, or so wide that the equations about the stated camera do not hold."""
+        """Refuse invalid tolerances, and those so wide that the equations about the stated camera do not hold."""
         require_bounds(self, section_path="prior")
 
 
@@ -132,7 +132,7 @@ def _distance(start: Calibration, sightings: Sightings, turned_rad: float | None
 def _departure(
     prior: Camera, basis: FloatArray, turned_rad: float | None, found: Camera, covariance: FloatArray
 ) -> float:
-    """Return how far a camera went from its prior: RMS in the prior's sigmas over what the sightings determined."""
+    """Return the departure of a camera from its prior: RMS in the prior's sigmas over the determined quantities."""
     lens = np.linalg.pinv(basis)
     change = lens @ (found.to_vector() - prior.to_vector())[FREE]
     remaining = lens @ covariance @ lens.T

@@ -1,4 +1,4 @@
-"""How a camera stood turned on each day against one calibration, and where its rotations step or begin to drift.
+"""Rotations of a camera on each day against one calibration, and their steps and drifts.
 
 Made for the comparison of days and cameras: a day's rotation says nothing of the calibration's own error, which is the
 same on all days, and costs a hundredth of `daily_pose_offset`, which does.
@@ -45,7 +45,7 @@ _LEAST_SIGMA = 1e-7
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DailyRotations:
-    """How a camera stood turned on the days that show the sun, against one calibration.
+    """Rotations of a camera on the days that show the sun, against one calibration.
 
     Attributes
     ----------
@@ -116,7 +116,7 @@ _WALK = (0.0, 0.003, 0.03, 0.3, 3.0)
 _FEWEST_BEFORE, _FEWEST_AFTER = 8, 4
 """Days: a scatter needs some before, and three days of cloud's making are not a step."""
 _SETTLING_DAYS = (3.0, 6.0, 12.0, 25.0, np.inf)
-"""Time constants of slow turns, tried each: from what a step of few days could be to the length of what is compared;
+"""Time constants of slow turns, tried each: from a step of few days to the length of the compared record;
 so near one another that what is left of a turn is not taken for its neighbours'. Infinite: at one rate."""
 _NEAR, _OUTLYING = 5, 4.0
 """A day that is further than so many scatters from the median of so many days about it is moved to that limit."""
@@ -220,7 +220,7 @@ class _Fits(NamedTuple):
 
 
 def _fitted(days: DailyRotations, progress: FloatArray) -> tuple[FloatArray, list[_Fits]]:
-    """Return the principal axes (3, 3) of what is stated, about which components err independently, and their fits."""
+    """Return the principal axes (3, 3) of the stated covariance, about which components err alone, and their fits."""
     axes = np.linalg.eigh(days.covariance_deg2.mean(axis=0))[1]
     rotations = _limited(days.rotation_deg @ axes)
     variances = np.einsum("ij,nik,kj->nj", axes, days.covariance_deg2, axes)
@@ -228,7 +228,7 @@ def _fitted(days: DailyRotations, progress: FloatArray) -> tuple[FloatArray, lis
 
 
 def _component(day: FloatArray, rotation: FloatArray, variance: FloatArray, progress: FloatArray) -> _Fits:
-    """Return what each change is worth, by generalised least squares for each size of walk."""
+    """Return the gain of each change, by generalised least squares for each size of walk."""
     n = len(day)
     walk = np.minimum.outer(day - day[0], day - day[0])
     none, changed, sizes, spreads = [], [], [], []
@@ -279,7 +279,7 @@ def _limited(rotations: FloatArray) -> FloatArray:
 def daily_pose_offset(points: Sightings, *, calibration: Calibration, site: Site) -> DailyRotations | None:
     """Return the mean rotation of a camera on one day; None with fewer than 20 inliers.
 
-    The lens is the calibration's; what that says of its own errors along the day's track widens the sigmas.
+    The lens is the calibration's; its own errors along the day's track widen the sigmas.
 
     Parameters
     ----------

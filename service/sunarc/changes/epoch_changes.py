@@ -1,4 +1,4 @@
-"""What a state of a camera does not explain of its sightings: a change or drift among them, by the days' own noise.
+"""Residuals of an epoch that its state does not explain: a change or drift among them, by the days' own noise.
 
 A sun's track runs smoothly over the image whatever the camera is: its scatter about a smooth arc is the day's own
 noise, known before any camera is. By it a state's residuals are explained by a change of the clock, of the pose, or of
@@ -48,7 +48,7 @@ _FEWEST_BESIDE = 8
 _CLOCK_DEG = 2.5
 """1-sigma of a change of the clock, 600 s."""
 _COMMON_LENS = 0.3
-"""1-sigma of what the state itself is wrong by, in that of a change of the lens."""
+"""1-sigma of the error of the state itself, in that of a change of the lens."""
 _LENS_AMONG_CHANGES = 3.0
 """Powers of e from which a change is clearly one of the lens, too, or of the pose alone. Turns have -13 to -8."""
 _AGREES_PX, _AGREES_SIGMAS, _FEWEST_OF_HALF = 0.3, 1.5, 4
@@ -56,7 +56,7 @@ _AGREES_PX, _AGREES_SIGMAS, _FEWEST_OF_HALF = 0.3, 1.5, 4
 _CHANGED = (Param.FOCAL_LENGTH_X_PX, *CENTER, Param.K2)
 _LENS = [*_CHANGED, Param.FOCAL_LENGTH_Y_PX]
 _DRIFT_DEG = (0.05, 0.2, 0.8)
-"""1-sigma of what a camera has drifted at either end of an epoch, about each axis or the pole: all equally likely."""
+"""1-sigma of a camera's drift at either end of an epoch, about each axis or the pole: all equally likely."""
 _DRIFT_GAIN = 10.0
 """Powers of e by which a drift must explain an epoch better than none: it is asked for once. Of 24 archives of cameras
 that stood still none reached 0."""
@@ -81,7 +81,7 @@ def drift_finding(drift: PoseChange) -> Finding | None:
 
 
 def noise_of_days(points: Sightings, site: Site) -> FloatArray:
-    """Return (n,): 1-sigma per axis of each sighting by its own day, that of one beside its day's arc being larger.
+    """Return (n,): 1-sigma per axis of each sighting by its own day, that of one off its day's arc being larger.
 
     Parameters
     ----------
@@ -288,7 +288,7 @@ def _drifting(turns: FloatArray, along: FloatArray) -> FloatArray:
 
 
 def _with_gross(residual: FloatArray, noise_px: FloatArray) -> FloatArray:
-    """Return the noise (n,), larger where a residual (n, 2) lies far beside those of its neighbours."""
+    """Return the noise (n,), larger where a residual (n, 2) lies far from those of its neighbours."""
     beside = off_neighbours(residual) / noise_px
     return np.asarray(noise_px * np.maximum(beside / (2.0 * _GROSS_SIGMAS), 1.0) ** 2)
 

@@ -1,4 +1,4 @@
-"""What neighbouring cameras show of one another: whose rotation changed, and what that may be.
+"""Evidence of neighbouring cameras about one another: whose rotation changed, and the possible causes.
 
 The sun's directions are computed for the stated time at the stated site. A clock that is ahead, and a longitude that
 is stated too far east, both turn them about the celestial pole, and the camera seems turned the other way. A track of
@@ -26,7 +26,7 @@ _FEWEST_OTHERS = 2
 FEWEST_AGREEING = 3
 """Others that must show a camera's change, each by itself, for the camera to be named."""
 _SHARE, _LEAST_SHOWN = 0.5, 3.0
-"""By how much of its size a change may be another one beside another camera, and its least gain there."""
+"""By how much of its size a change may be another one at another camera, and its least gain there."""
 _NOT_WEIGHED = 0.05
 """Share of causes with a probability of nearly 1 among those weighed that were none of them: mounts that walk, days
 that all cameras have wrong alike; by docs/studies/cross_checks.py."""
@@ -82,7 +82,7 @@ def step_sizes(change: PoseChange, site: Site) -> dict[str, float]:
 
 
 def _explanations(change: PoseChange, before: Site, after: Site) -> list[Weighed[PoseChange]]:
-    """Return what a change may be: a rotation about any axis, or about one that says what it is."""
+    """Return the possible causes of a change: a rotation about any axis, or about one that names the cause."""
     size = change.rotation_deg
 
     def evidence(axes: FloatArray, left: FloatArray = size) -> float:
@@ -178,7 +178,7 @@ def _without(one: DailyRotations, step: PoseChange) -> DailyRotations:
 
 
 def _beside_others(cameras: Sequence[DailyRotations], number: int) -> DailyRotations:
-    """Return a camera's rotations less the mean, on each day, of what the others differ from their own medians.
+    """Return a camera's rotations less the mean, on each day, of the others' differences from their own medians.
 
     Days that none of the others shows are left out: between corrected days they would stand off by what is common.
     """

@@ -1,6 +1,6 @@
-"""What changed, and when: explanations weighed by how likely they make the last sightings.
+"""Kind and time of a change: explanations weighed by the likelihood of the last sightings.
 
-The look at every sighting is cheap; only when several do not agree, or agree with a bias, are the explanations weighed
+The test of every sighting is cheap; only when several do not agree, or agree with a bias, are the explanations weighed
 against each other.
 """
 
@@ -165,7 +165,7 @@ _LONG, _ROUGH_PX = 10, 5.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ScoredHypothesis:
-    """An explanation with what the sightings say of it."""
+    """An explanation with its score by the sightings."""
 
     of: Hypothesis
     mixture: MixtureFit
@@ -177,14 +177,14 @@ class ScoredHypothesis:
 
     @property
     def agreeing(self) -> int:
-        """How many sightings after the change agree with it."""
+        """Number of sightings after the change that agree with it."""
         return int(self.mixture.inlier[self.of.first :].sum())
 
 
 def best_hypothesis(
     window: ResidualModel, *, site: Site, small: bool, clock_stepped: bool | None, posed_from_few: bool
 ) -> PoseChange | None:
-    """Return the change that explains the last sightings far better than none does; None where there is none.
+    """Return the change that explains the last sightings far better than no change; None without one.
 
     Parameters
     ----------
@@ -221,7 +221,7 @@ def _clearer_than_cloud(scored: ScoredHypothesis) -> float:
 
 
 def best_rotations(window: ResidualModel, *, small: bool, least: int) -> list[ScoredHypothesis]:
-    """Return the turns from one sighting on that may be, the best first; a change begins with what was not trusted."""
+    """Return the possible turns from one sighting on, the best first; a change begins with an untrusted sighting."""
     n = len(window.watch)
     recent = range(max(n - _RECENT, 0), n - least + 1)
     coarse = sorted({*recent, *range(0, max(n - _RECENT, 0), _STRIDE)})
@@ -296,7 +296,7 @@ def rotation_hypothesis(
 def _rivals(
     window: ResidualModel, best: ScoredHypothesis, site: Site, *, posed_from_few: bool
 ) -> list[ScoredHypothesis]:
-    """Return the other explanations of what the best turn explains."""
+    """Return the other explanations of the part that the best turn explains."""
     still = rotation_hypothesis(window, best.of.first, np.zeros(3), np.zeros((3, 0)), kind="bump")
     others = [
         clock_hypothesis(window, best, site),
@@ -378,13 +378,13 @@ def rarity(kind: ChangeKind, *, clock_stepped: bool | None) -> float:
 # cloud does to a detection is not.
 
 _AMPLITUDES_PX = (0.1, 0.5, 2.0, 8.0)
-"""1-sigma of the drift: from what passes for noise to the largest that detectors were seen to follow."""
+"""1-sigma of the drift: from that of noise to the largest that detectors were seen to follow."""
 _TIMES_S = (200.0, 700.0, 2400.0)
 """Correlation times: episodes of a few minutes to an hour."""
 _SLOPES_PX_S = (0.0005, 0.002, 0.008)
 """1-sigma of a ramp's slope: 0.5 to 8 px in 1000 s."""
 _RAMP_AMPLITUDE_PX, _RAMP_TIME_S = 0.5, 2400.0
-"""What a ramp may differ from a straight line by; it also takes up a begin between two sightings."""
+"""Departure of a ramp from a straight line; it also takes up a begin between two sightings."""
 _ONSETS_BACK = (0, 2, 6, 14)
 """Sightings before the change at which the episode may have begun; a slow one is trusted at first."""
 
@@ -481,7 +481,7 @@ def describe_change(
 
     Parameters
     ----------
-    window, explanation, mixture : the sightings, what explains them, and what they say of it.
+    window, explanation, mixture : the sightings, their explanation, and its posterior.
     gain : powers of e by which it is better than none.
     alike : first sightings after a change that explain nearly as well.
     perhaps : other kinds that do.
@@ -600,7 +600,7 @@ def update_window(
     clock_stepped: bool | None = False,
     posed_from_few: bool = False,
 ) -> tuple[SightingWindow, PoseChange | None]:
-    """Return what is remembered after one more sighting, and the change that it makes plain, if any.
+    """Return the remembered sightings after one more, and the change that it makes plain, if any.
 
     Parameters
     ----------
@@ -641,7 +641,7 @@ def distrusted(watch: SightingWindow) -> bool:
 
 
 def _surprise(window: ResidualModel) -> FloatArray:
-    """Return (2,): how far the last sighting lies from what the trusted ones before let one expect, whitened."""
+    """Return (2,): the distance of the last sighting from its prediction by the trusted ones before, whitened."""
     trusted_axes = np.repeat(window.watch.trusted, 2)
     trusted_axes[-2:] = False
     noise = np.repeat(window.sightings.variance, 2)

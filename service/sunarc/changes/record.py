@@ -42,21 +42,21 @@ from sunarc.sky.days import SECONDS_PER_DEGREE
 from sunarc.sky.site import Site, pole_enu
 
 _SIDE = 12
-"""Sightings that are looked at on either side of a gap."""
+"""Sightings that are used on either side of a gap."""
 _LONGEST_S = 7200.0
 """Time that they may take together: over a longer one a smooth error is no straight line."""
 _JUMP_PER_SIGMA = 0.8
-"""1-sigma of a jump where there is none, in that of a sighting: two medians of 12, each at the end of a line."""
+"""1-sigma of a jump without a turn, in that of a sighting: two medians of 12, each at the end of a line."""
 _MEDIAN_DISTANCE = 1.1774
 """Median length of a round Gaussian vector, in sigmas."""
 _JUMP_SIGMAS = 4.0
 _JUMPS_TRIED = 3
 _NIGHT_RATIO = 2.0
 _BESIDE_POLE, _BESIDE_SIGMAS = 0.1, 3.0
-"""How far a turn may be from one about the celestial pole that is a clock: in itself, and in what is stated of the sky.
+"""Largest distance of a clock's turn from one about the celestial pole: in itself, and in the stated error of the sky.
 One axis of 200 is so near the pole by chance."""
 _GAIN = 40.0
-"""What three more unknowns must take from the squares of the residuals, in variances, wherever the move may be."""
+"""Least gain of three more unknowns in the squares of the residuals, in variances, wherever the move may be."""
 _MOST = 6
 _FEWEST = 20
 _Fit = Callable[..., Calibration]
@@ -159,7 +159,7 @@ def best_row(near: slice, usable: Sightings, cameras: Sequence[Camera]) -> int:
     ----------
     near : the rows that it may have come before; `start` is given.
     usable : sightings in the order of time.
-    cameras : the first two are looked at.
+    cameras : the first two are used.
     """
     off = [np.linalg.norm(usable.pixels[near] - project_fast(c, usable.directions[near]), axis=-1) for c in cameras[:2]]
     scale = robust_sigma(np.minimum(*off), share=0.5, floor=FLOOR_PX)
@@ -170,17 +170,17 @@ def best_row(near: slice, usable: Sightings, cameras: Sequence[Camera]) -> int:
 
 
 def _lens_in(solved: Calibration, pose: tuple[float, float, float]) -> Camera:
-    """Return the camera in a pose, without its displacement: a field takes up what a move within the sightings does."""
+    """Return the camera in a pose, without its displacement: a field takes up a part of a move within the sightings."""
     return replace(solved.camera, rotation_cam_enu=pose, displacement=None)
 
 
 def _residuals(solved: Calibration, usable: Sightings) -> FloatArray:
-    """Return observed minus predicted by the lens alone, (n, 2) px; what the camera cannot see is far off."""
+    """Return observed minus predicted by the lens alone, (n, 2) px; far off outside the camera's field."""
     return finite(residuals_by_pose(replace(solved.camera, displacement=None), solved.poses, usable))
 
 
 def robust_gain(before: FloatArray, after: FloatArray, usable: Sightings, solved: Calibration) -> float:
-    """Return what the robust squares lost, in variances of a sighting whose neighbours err like it."""
+    """Return the loss of the robust squares, in variances of a sighting whose neighbours err like it."""
     distances = [np.hypot(residual[:, 0], residual[:, 1]) / usable.sigma_px for residual in (before, after)]
     sigma = robust_sigma(distances[1], floor=FLOOR_PX)
     one, other = (float(np.sum(tukey_loss(distance, sigma=sigma))) for distance in distances)
@@ -286,7 +286,7 @@ def _with_moves(solved: Calibration, usable: Sightings, gains: Mapping[float, fl
 # The same in a record of years: rotations of the days tell where to fit.
 
 _PER_DAY = 150
-"""Sightings of a day that the search looks at; the step itself is dated among all."""
+"""Sightings of a day that the search uses; the step itself is dated among all."""
 _FEWEST_PER_DAY = 20
 _LENS_DAYS = 3
 _LENS_TRIALS = 4
@@ -294,7 +294,7 @@ _LENS_TRIALS = 4
 _BESIDE = 3
 """Days on either side of a step of the daily rotations that are fitted."""
 _MOST_PLACES = 24
-"""Places that are looked at in one search; the clearest steps come first."""
+"""Places that are examined in one search; the clearest steps come first."""
 
 
 def find_pose_steps(
@@ -328,7 +328,7 @@ def find_pose_steps(
 
 
 class StepSearch(NamedTuple):
-    """What a search for steps of the pose knows of the record."""
+    """Inputs of a search for steps of the pose in a record."""
 
     site: Site
     image_size: tuple[int, int]
@@ -436,7 +436,7 @@ def calibrate_with_lens(
     options: CalibrationOptions,
     circle: ImageCircle | None = None,
 ) -> Moved:
-    """Return what sightings and a type of lens say of a camera: with a day of sun lens and pose, with few the pose.
+    """Return the camera of sightings and a type of lens: with a day of sun lens and pose, with few the pose.
 
     Parameters
     ----------
@@ -454,7 +454,7 @@ def calibrate_with_lens(
 
 
 def _usual_pose(options: CalibrationOptions) -> FirstPoseOptions:
-    """Return what is known of the pose where it is not stated: the tilt, by half of what a fit may have."""
+    """Return the prior of the pose where it is not stated: the tilt, by half of the limit of a fit."""
     if options.level_within_deg is None:
         return FirstPoseOptions()
     return FirstPoseOptions(tilt_deg=min(options.level_within_deg / 2.0, 15.0))

@@ -30,13 +30,13 @@ from sunarc.optics.forward import project_with_rows_fast
 _MOST_ROWS = 280
 """Rows of the covariance matrix; more sightings are gathered by their median (cost grows with the cube)."""
 _DAYS_BESIDE = 3
-"""Days with sightings on either side of the step that are looked at."""
+"""Days with sightings on either side of the step that are used."""
 LONGEST_EPISODE_S = 4500.0
-"""Longest episode of cloud that competes with a step: what lasts longer and is constant is a move."""
+"""Longest episode of cloud that competes with a step: a longer constant shift is a move."""
 _EPISODES_S = (900.0, 2400.0, LONGEST_EPISODE_S)
 _MOST_EPISODES = 3
 _EPISODE_TIMES_S = (300.0, 1200.0)
-"""Correlation times of what cloud does to a detection."""
+"""Correlation times of the cloud's effect on a detection."""
 _EDGE_STEPS = (0.25, 0.25, 0.12, 0.06)
 """Steps by which the ends of an episode are moved, as shares of its length: a loose interval costs 10 powers of e."""
 _EPISODE_GAIN = 2.0
@@ -127,7 +127,7 @@ def log_bayes_factor(
     Parameters
     ----------
     row : the first sighting after the turn.
-    usable : the sightings; those of the same epoch, days beside the turn, count.
+    usable : the sightings; those of the same epoch, days around the turn, count.
     one : the camera without the turn, and its residuals (n, 2), px.
     two : the camera after the turn, and the residuals of the fit with two poses (n, 2), px.
     turn_rad : the angle between the two poses.
@@ -168,7 +168,7 @@ def group_medians(values: FloatArray, member: IntArray) -> FloatArray:
 
 
 def step_rows(picked: IntArray, member: IntArray, row: int, usable: Sightings, residual: FloatArray) -> StepRows:
-    """Return what both hypotheses share; the noise's scale and gross errors are those of the residuals about two."""
+    """Return the common part of both hypotheses; noise and gross errors are those of the residuals about two."""
     count = np.bincount(member)
     middle = np.searchsorted(member, np.arange(count.size)) + count // 2
     times, directions = usable.unix_s[picked][middle], usable.directions[picked][middle]
@@ -223,7 +223,7 @@ def noise_covariance(rows: StepRows, amplitudes: Amplitudes, episodes: tuple[Epi
 
 
 def cloud_windows(rows: StepRows) -> list[tuple[float, float]]:
-    """Return intervals in which cloud may have been: at the ends, beside and across the step, and regularly."""
+    """Return intervals in which cloud may have been: at the ends, next to and across the step, and regularly."""
     times, found = rows.unix_s, []
     at = float(times[rows.after][0])
     for long in _EPISODES_S:

@@ -58,7 +58,7 @@ def lens_freedom(camera: Camera, names: Sequence[int], changed: Sequence[Param],
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WatchOptions:
-    """What the change detection does not report as a change.
+    """Limits of the changes that the change detection reports.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class WatchOptions:
     wander_deg: Annotated[float, Ge(0.0), Le(5.0)] = ONLINE.least_deg
 
     def __post_init__(self) -> None:
-        """Refuse what is out of bounds."""
+        """Refuse values out of bounds."""
         require_bounds(self, section_path="watch")
 
 
@@ -106,7 +106,7 @@ class SightingWindow(Sightings):
     surprise: FloatArray = field(default_factory=lambda: np.zeros((1, 2)))
 
     def since(self, unix_s: float) -> SightingWindow:
-        """Return what is remembered from a moment on."""
+        """Return the sightings from a moment on."""
         return self.select(self.unix_s >= unix_s)
 
     def last(self, count: int) -> SightingWindow:
@@ -128,7 +128,7 @@ class SightingWindow(Sightings):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Hypothesis:
-    """What the sightings from one on would be if something had changed.
+    """Sightings from one on under a change.
 
     Attributes
     ----------

@@ -36,7 +36,7 @@ _SHAPED = frozenset(
     {"disc_found", "disc_poor_fit", "disc_residuals", "disc_uneven", "disc_without_limb", "disc_position_uncertain",
      "disc_in_bright_sky", "disc_faint", "disc_dimmed", "disc_wrong_size"}
 )  # fmt: skip
-"""What the disc's model says of a dot that is one: tones and JPEG fit no limb darkening."""
+"""Measures of a true dot in the disc's model: tones and JPEG fit no limb darkening."""
 _LARGEST_ELLIPTICITY, _LARGEST_RADIUS = 0.45, 0.02
 """1 - minor/major axis, and radius over the image's smaller side, of a dot that may be the disc (4 times the sun's)."""
 
@@ -133,7 +133,7 @@ def _disc_in(ordered: Sequence[Photo], expectation: Expectation | None) -> _Disc
 
 
 def _is_dot(found: Detection, photo: Photo) -> bool:
-    """Return whether what was found has the shape of a disc, though its light need not be the model's."""
+    """Return whether the detection has the shape of a disc, though its light need not be the model's."""
     if found.x_px is None or found.sigma_px is None or found.findings[0].code not in _SHAPED:
         return False
     radius, size = found.radius_px or math.inf, min(photo.image.shape[:2])
@@ -180,7 +180,7 @@ def _glare_about(photo: Photo, disc: Detection) -> Candidate | None:
 
 
 def _has_halo(disc: _DiscOfStack, glare: Sequence[Candidate], ordered: Sequence[Photo]) -> bool:
-    """Return whether light falls off about the disc as the sun's does in air and lens, beyond what is clipped.
+    """Return whether light falls off about the disc as the sun's does in air and lens, beyond the clipped pixels.
 
     A lamp of the sun's radiance on a bright sky has an edge and then the sky; that of a cloud behind it falls off the
     farther out the more. One whose light the lens scatters as the sun's is like it in a single stack, and stands still
@@ -291,7 +291,7 @@ def agrees(seen: Candidate, anchor: Detection) -> bool:
 
 
 def weighted_mean(anchor: Detection, agreeing: Sequence[tuple[Candidate, float | None]]) -> Detection:
-    """Return the anchor at the weighted mean of what agrees with it."""
+    """Return the anchor at the weighted mean of the detections that agree with it."""
     if len(agreeing) < 2:
         return anchor
     places = np.array([[each.rim.x, each.rim.y] for each, _ in agreeing])

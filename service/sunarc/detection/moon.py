@@ -242,7 +242,7 @@ class _Problem:
         return np.asarray(self._scale * parameters[_LINEAR : _LINEAR + self._colours][self._pixels.colour])
 
     def _parts(self, parameters: FloatArray) -> FloatArray:
-        """Return the image of unit light, and by what Lambert's law, the seas and the aureole change it."""
+        """Return the image of unit light, and its changes by Lambert's law, the seas and the aureole."""
         side, origin = self._pixels.counts.shape[0], self._pixels.origin
         width, ratio = (float(np.exp(np.clip(one, -2.0, 2.5))) for one in parameters[2:4])
         spread = PointSpread(width * ratio, width / ratio)
@@ -292,7 +292,7 @@ _MOST_CLIPPED = 0.1
 _MOST_RESIDUAL = 0.08
 """Rms over the level; a cloud's edge before the disc leaves more."""
 _HAZY, _MOST_HAZE = 0.015, 0.12
-"""Sky beside the disc over the disc: thin haze, and a cloud that leaves no limb."""
+"""Sky next to the disc over the disc: thin haze, and a cloud that leaves no limb."""
 _MOST_SIGMA_PX = 0.5
 _MOST_SHAPE_MISFIT = 3.0
 """Mean square of the seas' coefficients over their prior: a lamp is no disc."""
@@ -301,7 +301,7 @@ _RESOLVED_PX = 3.0
 _FLOOR_PX = 0.015
 """1-sigma that is added: no point spread is the Gaussian of the fit."""
 _LAW_RADII = 0.008
-"""1-sigma over the radius of what the surface's brightness leaves: the seas, and a terminator that no law has."""
+"""1-sigma over the radius of the surface's residual brightness: the seas, and a terminator that no law has."""
 _HAZE_RADII = 0.6
 """1-sigma over the radius that a haze of 1 adds: a cloud is not even over the disc."""
 _COLOURS = {"RGGB": (0, 1, 1, 2), "BGGR": (2, 1, 1, 0), "GRBG": (1, 0, 2, 1), "GBRG": (1, 2, 0, 1)}
@@ -369,7 +369,7 @@ def _start(image: Image, expected: MoonExpectation, surface: Surface) -> FloatAr
 
 
 def _stamp(image: Image, start: FloatArray, longest: float, sensor: Sensor) -> tuple[Pixels, BoolArray]:
-    """Return the pixels around the disc, and which are clipped; what lies outside of the image takes no part."""
+    """Return the pixels around the disc, and which are clipped; those outside of the image take no part."""
     half = min(math.ceil(longest + _MARGIN_PX), _LARGEST_HALF)
     left, top = (round(float(value)) - half for value in start)
     rows, columns = np.indices((2 * half + 1, 2 * half + 1)) + np.array([top, left])[:, None, None]

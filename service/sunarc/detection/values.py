@@ -1,4 +1,4 @@
-"""What the detection of sun and stars is given, and what it answers."""
+"""Input and output of the detection of sun and stars."""
 
 from __future__ import annotations
 
@@ -76,13 +76,13 @@ class Detection:
 
     @property
     def reason(self) -> str:
-        """What decided, in a sentence."""
+        """Deciding finding, in a sentence."""
         return joined(self.findings)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LightFit:
-    """What the least-squares fit of a light gives, the sun's disc or the moon; `Stars` has it in columns.
+    """Result of the least-squares fit of a light, the sun's disc or the moon; `Stars` has it in columns.
 
     Attributes
     ----------
@@ -217,7 +217,7 @@ def require_photo(image: Image, *, full_scale: int, bayer: Bayer | None = None) 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DiscOptions:
-    """What is known of the sun in microsecond frames; the limits of its detection are constants (`disc.detect`).
+    """Prior of the sun in microsecond frames; the limits of its detection are constants (`disc.detect`).
 
     Attributes
     ----------

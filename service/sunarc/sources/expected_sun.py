@@ -70,7 +70,7 @@ def _two_by_two(rows: list[list[float]]) -> tuple[tuple[float, float], tuple[flo
 
 
 class WithPosition(Protocol):
-    """What a prediction is compared with."""
+    """Prediction that a position is compared with."""
 
     @property
     def accepted(self) -> bool:

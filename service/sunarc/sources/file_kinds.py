@@ -77,7 +77,7 @@ UNREAD = {
     ".sav": ("IDL save file", "give the images; a skymap is not taken over"),
     ".cdf": ("CDF", "give the images as PGM, PNG or FITS"),
 }  # fmt: skip
-"""Endings of files that are named as not read: what they are, and what to do."""
+"""Endings of files that are named as not read: their kind, and the remedy."""
 
 
 def kind_of(name: str) -> Kind | None:
@@ -122,14 +122,14 @@ def unread_content(head: bytes) -> Finding | None:
 DERIVED_FOLDERS = frozenset(
     {"thumbnails", "thumbs", "keogram", "keograms", "startrails", "timelapse", "panoramas", "@eadir", "lost+found"}
 )
-"""Subfolders of what allsky, indi-allsky, file servers and file systems make beside the images."""
+"""Subfolders that allsky, indi-allsky, file servers and file systems make in the images' folder."""
 _DERIVED_NAME = re.compile(
     r"(?:allsky-)?(?:keogram|startrails?|(?:mini-?)?timelapse|panorama\w*|thumbnail|thumb)[-_.]"
     r"|allsky-\d{8}\."
     r"|.*_(?:captured|DETECTED)_(?:stack|thumbs)|.*_(?:stack_\d+_meteors|fieldsums|CAPTURED_thumbs)",
     re.IGNORECASE,
 )
-"""Names of what AllskyTeam's allsky, indi-allsky and RMS make of a night's images."""
+"""Names of the files that AllskyTeam's allsky, indi-allsky and RMS make of a night's images."""
 
 
 def is_derived(name: str) -> bool:

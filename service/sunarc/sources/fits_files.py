@@ -96,7 +96,7 @@ _TOP = 65_535
 
 
 def counts(data: NDArray[Any]) -> Image | None:
-    """Return numbers as counts of 8 or 16 bits; None where there are none.
+    """Return numbers as counts of 8 or 16 bits; None where they are not.
 
     Counts stay as they are. Other numbers (of floating point, of 32 bits, negative ones) are shifted until hardly one
     is negative, and multiplied where they are of 1 or 255 at most (a share of the full scale, a mean of images of 8
@@ -163,7 +163,7 @@ def _fits_units(file: FitsFile, name: str) -> list[Any]:
 
 
 _MOST_UNITS = 64
-"""Header and data units that are looked at."""
+"""Header and data units that are read."""
 
 
 def _fits_time(header: dict[str, Any], *keys: str) -> datetime | None:

@@ -86,7 +86,7 @@ class _Header(NamedTuple):
 
 
 def _header_fault(encoded: bytes, size: tuple[int, int] | None) -> Finding | None:
-    """Return what is wrong with an image, by its header and its end."""
+    """Return the fault of an image, by its header and its end."""
     unread = unread_content(encoded[:16])
     if unread is not None:
         return unread
@@ -154,7 +154,7 @@ def frames_in(source: ImageSource, name: str, *, sidecar: Callable[[], bytes | N
     Parameters
     ----------
     source, name : the file.
-    sidecar : reads the JSON file beside it; None where there is none.
+    sidecar : reads the JSON file of the same name; None without one.
 
     Raises
     ------
@@ -198,7 +198,7 @@ Sidecar = Callable[[], bytes | None]
 
 
 class _Reader(NamedTuple):
-    """What reads files of a kind: their frames with times, and some of their images."""
+    """Reader of files of a kind: their frames with times, and some of their images."""
 
     frames: Callable[[ImageSource, str, Sidecar], list[FileImage]]
     images: Callable[[ImageSource, str, Sequence[int], tuple[int, int] | None], Images]

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 
 class ImageKey(NamedTuple):
-    """What distinguishes an image from others of its camera.
+    """Key that distinguishes an image from others of its camera.
 
     time_us: microseconds since 1970-01-01 UTC. exposure_us: 0 where not known. file: its name, empty where not known
     (version 0.2). folder: below its source, "." for the source itself; empty where not known (revision 0019).

@@ -84,7 +84,7 @@ def sidecar_time(text: bytes, name: str, exposure_us: float | None) -> tuple[dat
 
     Raises
     ------
-    FindingError : it has no time, or one of its values is none.
+    FindingError : it has no time, or an invalid value.
     """
     try:
         sidecar: dict[str, Any] = json.loads(text)
@@ -146,12 +146,12 @@ ASSUMED_UTC = TimeRules(offset=timedelta(0), documents=True, is_offset_assumed=T
 
 
 def sidecar_of(name: str) -> str:
-    """Return the name of the JSON file that may stand beside a file."""
+    """Return the name of the JSON file that may accompany a file."""
     return stem_of(name) + ".json"
 
 
 class TimedFrame(NamedTuple):
-    """An image of a file: its number, mid-exposure time (aware, UTC), exposure, and what states the time.
+    """An image of a file: its number, mid-exposure time (aware, UTC), exposure, and the source of the time.
 
     `prefix` is what precedes the time in the name, by which cameras differ.
     """
@@ -331,6 +331,6 @@ def _unknown_zone(name: str, time: datetime) -> FindingError:
 
 
 def exposure_of_name(name: str) -> float | None:
-    """Return the exposure in microseconds in a file's name (``_<n>us``), None where there is none."""
+    """Return the exposure in microseconds in a file's name (``_<n>us``), None without one."""
     match = _EXPOSURE.search(name)
     return float(match.group(1)) if match else None

@@ -1,4 +1,4 @@
-"""Which files are whose, and the images in them with their times; what cannot be used, and why."""
+"""Files by camera, and the images in them with their times; the unusable ones, and why."""
 
 from __future__ import annotations
 
@@ -72,12 +72,12 @@ class ArchiveImage(NamedTuple):
 
     @property
     def named(self) -> ImageKey:
-        """What copies of it have in common: its key without the folder."""
+        """Common name of its copies: its key without the folder."""
         return self.key._replace(folder="")
 
     @property
     def key(self) -> ImageKey:
-        """What distinguishes it from other images of its camera."""
+        """Key that distinguishes it from other images of its camera."""
         return image_key(self.time_us, self.exposure_us, self.path)
 
 
@@ -171,7 +171,7 @@ _OTHER_SIZE = 0.1
 _FEWEST_OF_SIZE = 5
 """Images of a size that are analysed as a camera of their own."""
 _MOST_COPIES = 0.2
-"""Share of a camera's images beside others of the same name and time, from which they are those of two cameras."""
+"""Share of a camera's images with others of the same name and time, from which they are those of two cameras."""
 
 
 class Indexed(NamedTuple):
@@ -274,7 +274,7 @@ def new_camera_name(wanted: str, *, taken: Container[str]) -> str:
 
 
 def index_folder(plan: CameraPlan) -> tuple[CameraImages, list[Failure]]:
-    """Return the images of a plan's folder as those of one camera, and what is left out by its path below the folder.
+    """Return the images of a plan's folder as those of one camera, and the omitted files by their path below it.
 
     Raises
     ------
@@ -476,7 +476,7 @@ _KEYS = {
 
 
 def read_cameras(path: Path, *, common: CameraPlan, required: Collection[str] = ()) -> list[CameraPlan]:
-    """Return the cameras of a file; what it leaves out is that of the command line, but for what is required of each.
+    """Return the cameras of a file; keys left out are those of the command line, but for the required ones of each.
 
     Raises
     ------
@@ -540,7 +540,7 @@ def _pattern(given: object) -> str:
 
 
 def _stated(table: Mapping[str, Any], key: str, choices: Sequence[str], common: Any, *, unstated: str | None) -> Any:  # noqa: ANN401
-    """Return what a camera or the command line states; ValueError where both do, and differently."""
+    """Return the statement of a camera or the command line; ValueError where both state it, and differently."""
     found = _get(table, key, _one_of(*choices), common)
     if common not in {unstated, found}:
         raise ValueError(f"{key} is {found!r}, where --{key} {common} is given; give it in one place")
@@ -584,7 +584,7 @@ def _one_of(*choices: str) -> Callable[[Any], str]:
 
 
 class Timed(Protocol):
-    """What has a time."""
+    """Object with a time."""
 
     @property
     def unix_s(self) -> float:

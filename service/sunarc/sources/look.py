@@ -1,4 +1,4 @@
-"""What a worker does with images: read, check, look for the sun; it keeps nothing."""
+"""A worker's part: read images, check them, look for the sun; it keeps nothing."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Item(NamedTuple):
     """An image of a chunk.
 
     expectation: where the sun should be; None without a prediction. outside: whether it should be outside the image.
-    found: where one was accepted without a prediction, px. content: of its file when it was looked at before, where
+    found: where one was accepted without a prediction, px. content: of its file when it was read before, where
     the rest of what decides the answer is the same. unix_s: when it was taken, of an image of the night.
     """
 
@@ -75,7 +75,7 @@ class Item(NamedTuple):
 
 
 class StarNaming(NamedTuple):
-    """What the stars in images of a night are named by: a calibration, the site, how far the clock was ahead."""
+    """Names of stars in images of a night: a calibration, the site, how far the clock was ahead."""
 
     calibration: Calibration
     site: Site
@@ -105,9 +105,9 @@ class Chunk(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """What came of an image: a detection, with or without a sun, or its stars, or the finding why it is left out.
+    """Answer of an image: a detection, with or without a sun, or its stars, or the finding why it is left out.
 
-    None where its file has the content that the item states: it is not looked at again. content: hash of the file's
+    None where its file has the content that the item states: it is not read again. content: hash of the file's
     bytes; None where it was not read as a whole.
     """
 
@@ -169,7 +169,7 @@ def _is_unchanged(source: HashedSource, item: Item) -> bool:
 
 
 def static_mask_of(chunk: Chunk) -> PackedMask | None:
-    """Return the mask of what stands still in the images of a chunk that spans hours; None where nothing does."""
+    """Return the mask of the static parts of the images of a chunk that spans hours; None without any."""
     cv2.setNumThreads(1)
     source = open_source(chunk.address)
     by_file = itertools.groupby(chunk.items, key=lambda item: item.file)
@@ -187,7 +187,7 @@ def _look_at_stack(chunk: Chunk, static: BoolArray | None) -> list[Answer]:
     """Return an answer for each of the exposures of one time.
 
     Where an ordinary image is among them, one sighting comes from all that are alike: it is the answer for the first of
-    these, and the others name that. Microsecond exposures, and files that cannot be stacked, are looked at one by one.
+    these, and the others name that. Microsecond exposures, and files that cannot be stacked, are read one by one.
     """
     source = open_source(chunk.address)
     images = {item: image_of(source, item.file, item.number, size=chunk.size) for item in chunk.items}
@@ -275,5 +275,5 @@ def code_hash(folder: Path) -> str:
 
 
 def key_of(parts: Iterable[object]) -> str:
-    """Return a hash of what decides a result."""
+    """Return a hash of the values that decide a result."""
     return hashlib.blake2b(repr(tuple(parts)).encode(), digest_size=12).hexdigest()

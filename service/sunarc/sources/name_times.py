@@ -1,4 +1,4 @@
-"""Times in the names of image files, read whole: fraction, half of the day and zone; what has two readings has no time.
+"""Times in the names of image files, read whole: fraction, half of the day and zone; an ambiguous name has no time.
 
 Sources: ARM, https://www.arm.gov (datastreams; ordered files repeat the time at the end); RMS,
 https://github.com/CroatianMeteorNetwork/RMS; indi-allsky, https://github.com/aaronwmorris/indi-allsky; Allsky,
@@ -26,7 +26,7 @@ def is_of_images(time: datetime) -> bool:
 
 
 class NamedTime(NamedTuple):
-    """What a name states: its family, what precedes the time, the time as it is written, and how far ahead of UTC."""
+    """Time in a name: its family, the text before it, the time as it is written, and how far ahead of UTC."""
 
     family: str
     prefix: str
@@ -90,7 +90,7 @@ _SUFFIX = r"\.[A-Za-z]\w*$"
 
 
 class NameFamily(NamedTuple):
-    """Names of one kind of camera or archive: what precedes the time tells cameras apart.
+    """Names of one kind of camera or archive: the text before the time tells cameras apart.
 
     A pattern with "/" is of the path below the source.
     """
@@ -243,7 +243,7 @@ def _shown(time: datetime | None, ahead: timedelta | None = None) -> str:
 
 
 def _readings(name: str) -> list[NamedTime]:
-    """Return what a name's dates and times may mean, each with its rest read to the end."""
+    """Return the possible readings of a name's dates and times, each with its rest read to the end."""
     found = list[NamedTime]()
     for match in _WHEN.finditer(name):
         time, rest = _time(_numbers(match)), _REST.match(name, match.end())
@@ -270,7 +270,7 @@ def _with_half(time: datetime, half: str) -> datetime | None:
 
 
 def _zones(rest: re.Match[str], name: str, *, iso: bool) -> Iterator[timedelta | None]:
-    """Yield what may be the zone after a time (None: none is written), two where the end may be a number of images."""
+    """Yield the possible zones after a time (None: none is written), two where the end may be a number of images."""
     if rest["letters"]:
         yield timedelta(hours=_ZONES[rest["letters"]])
     elif rest["sign"] is None:

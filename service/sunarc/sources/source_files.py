@@ -19,7 +19,7 @@ from sunarc.common.foreign_files import MOST_BYTES, UnfitFileError
 
 
 class SourceFile(NamedTuple):
-    """A file of a source: its name below the source, its size in bytes, and what changes with its content."""
+    """A file of a source: its name below the source, its size in bytes, and a stamp that changes with its content."""
 
     name: str
     size: int
@@ -36,7 +36,7 @@ class ImageSource(Protocol):
 
     @property
     def address(self) -> str:
-        """What `open_source` opens it by."""
+        """Address that `open_source` opens it by."""
 
     def files(self) -> Iterator[SourceFile]:
         """Yield all files, in the order of their names."""

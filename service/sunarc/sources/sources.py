@@ -30,7 +30,7 @@ def open_source(address: str) -> ImageSource:
 
     Raises
     ------
-    InputError : there is none, or the extra that it needs is not installed.
+    InputError : it is missing, or the extra that it needs is not installed.
     """
     if "://" in address:
         return Remote(address)
@@ -95,7 +95,7 @@ class HashedSource:
 
     @property
     def address(self) -> str:
-        """What `open_source` opens the other one by."""
+        """Address that `open_source` opens the other one by."""
         return self._source.address
 
     def files(self) -> Iterator[SourceFile]:
@@ -120,7 +120,7 @@ class HashedSource:
 
 
 _STAMPS = ("ETag", "etag", "checksum", "mtime", "LastModified", "last_modified", "created", "CRC")
-"""What file systems say of a file that changes with its content, the surest first."""
+"""Stamps of file systems that change with a file's content, the surest first."""
 
 
 @dataclass(frozen=True, slots=True)

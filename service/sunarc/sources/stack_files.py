@@ -46,7 +46,7 @@ def netpbm_frames(file: BinaryIO, name: str) -> list[FileImage]:
 
     Raises
     ------
-    FindingError : it is none, ends within an image, or has several that state no times.
+    FindingError : it is invalid, ends within an image, or has several that state no times.
     """
     frames = [_stated_frame(number, header["comments"]) for number, (header, _) in enumerate(_parts(file, name))]
     if len(frames) > 1 and any(one.time is None for one in frames):
@@ -70,7 +70,7 @@ def netpbm_images(
 
 
 def _parts(file: BinaryIO, name: str) -> Iterator[tuple[re.Match[bytes], Image]]:
-    """Yield each image with its header; what follows the last one and is no image is passed over."""
+    """Yield each image with its header; bytes after the last one that are no image are passed over."""
     left = b""
     for number in range(_MOST_IMAGES):
         while (header := _HEADER.match(left)) is None and len(left) < _MOST_HEADER and (more := file.read(_PART)):
@@ -150,7 +150,7 @@ _SECONDS = {"days": DAY_S, "hours": 3600.0, "minutes": 60.0, "seconds": 1.0, "mi
 
 
 class _Stack(NamedTuple):
-    """Images of a file: their times, their size (rows, columns), and what returns one by its number."""
+    """Images of a file: their times, their size (rows, columns), and a function that returns one by its number."""
 
     times: Callable[[], list[datetime]]
     shape: tuple[int, ...]
@@ -162,7 +162,7 @@ def netcdf_frames(file: Path | bytes, name: str) -> list[FileImage]:
 
     Raises
     ------
-    FindingError : it is none, has no images, or no times in UTC.
+    FindingError : it is invalid, has no images, or no times in UTC.
     """
     with _hdf5_stack(file, name) as stack:
         return [FileImage(number, time) for number, time in enumerate(stack.times())]

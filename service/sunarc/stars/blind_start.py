@@ -97,13 +97,13 @@ class BlindOptions:
 
     @property
     def max_tilt_deg(self) -> float:
-        """How far the axis may lie from the zenith."""
+        """Largest angle of the axis from the zenith."""
         return _MAX_TILT_DEG if self.level_within_deg is None else self.level_within_deg
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BlindStart:
-    """A camera by the stars alone, or why there is none.
+    """A camera by the stars alone, or the reason why it is missing.
 
     Attributes
     ----------
@@ -225,7 +225,7 @@ _CIRCLE_WITHIN = (0.85, 1.2)
 _SAME_STAR_PX = 0.7
 _STILL_TURN_DEG = (3.0, 90.0)
 _LEAST_SIGMA_PX, _OF_FOCAL = 0.7, 0.002
-"""1-sigma of a refined camera's prediction: what a smooth correction does not know yet of the lens."""
+"""1-sigma of a refined camera's prediction: the error of the lens that a smooth correction leaves."""
 _MOST_REFINED = 8
 _SAME_DEG = 2.0
 _MUCH_LESS = 0.4
@@ -234,7 +234,7 @@ _NORTH_PER_MINUTE_DEG = 0.25
 
 
 class _Hypothesis(NamedTuple):
-    """A refined camera, what it makes of each image, and how many stars it names; by one image, what chance has."""
+    """A refined camera, its matches in each image, and how many stars it names; by one image, the number by chance."""
 
     camera: Camera
     views: tuple[StarView, ...]
@@ -296,7 +296,7 @@ _MOST_TRIED = 2
 def _by_pattern(
     images: Sequence[NightDetections], site: Site, image_size: tuple[int, int], known: BlindOptions
 ) -> BlindStart:
-    """Return the camera that matches the bright stars of one image far beyond chance, or why there is none."""
+    """Return the camera that matches the bright stars of one image far beyond chance, or the reason of its lack."""
     lit = sorted((one for one in images if len(one.stars) >= _FEWEST), key=lambda one: -len(one.stars))
     if not lit:
         if len(images) == 1:  # more images are not what is missing
@@ -408,7 +408,7 @@ def _hypotheses(
 
 
 def _judged(one: Refined, images: Sequence[NightDetections]) -> _Hypothesis:
-    """Return what a camera names."""
+    """Return the stars that a camera names."""
     camera = one.camera
     sigma = max(_LEAST_SIGMA_PX, one.scatter_px, _OF_FOCAL * camera.focal_length_px[0])
     views = []
@@ -476,7 +476,7 @@ _REACH = 0.035
 _BRIGHT = 3.2
 """V of the faintest; 40 to 80 stars above a horizon."""
 _PER_STAR = 2
-"""Detections for each of these stars: planets, and what is no star."""
+"""Detections for each of these stars: planets, and false ones."""
 _KEPT = 3
 _APART_DEG = 6.0
 

@@ -1,4 +1,4 @@
-"""Lens, pole and handedness of a camera by what turns between images of one night; no star is named here.
+"""Lens, pole and handedness of a camera by the lights that turn between images of one night; no star is named here.
 
 Between two images the sky turns by a known angle about the pole. A hypothesis (focal length, shape of the lens, pole,
 handedness) maps the detections of one image into the other; the right one puts them on detections. The pole is looked
@@ -153,7 +153,7 @@ _CLOSE_PX = 3.0
 _LIKELY, _CONFORMAL = 0.3, 0.25
 _OTHER_FOCAL, _FOCAL_FIXED = (0.8, 0.86, 0.93, 1.07, 1.15), 0.005
 _PRIOR_PX = 4.0
-"""What a 1-sigma departure from the hypothesis counts: a stereographic lens turns alike about many centres."""
+"""Weight of a 1-sigma departure from the hypothesis: a stereographic lens turns alike about many centres."""
 
 
 class Pair(NamedTuple):

@@ -46,7 +46,7 @@ _KEPT_A_LENS, _DISTINCT = 6, math.cos(math.radians(5.0))
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Bright:
-    """What the search looks at.
+    """Input of the search.
 
     Attributes
     ----------
@@ -175,7 +175,7 @@ def camera_of(pattern: Pattern, centre: tuple[float, float], image_size: tuple[i
 # How probable it is that a camera which was fitted to an image's detections matches so many stars by chance.
 
 _OF_FOCAL = (0.02, 0.008, 0.004)
-"""What is near, focal lengths."""
+"""Distance of near lights, focal lengths."""
 _FAINTEST = (3.0, 4.0)
 _FITTED_BY = 5
 """Stars that determine the ten unknowns of a refined camera."""

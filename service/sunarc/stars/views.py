@@ -24,7 +24,7 @@ from sunarc.sky.site import Site, relative_air_mass
 from sunarc.stars.star_pattern import log10_chance
 
 BENT_PX = 1.0
-"""1-sigma of how far the cold of the night bends a mount, beside the calibration's own uncertainty."""
+"""1-sigma of the bend of a mount in the cold of the night, in addition to the calibration's own uncertainty."""
 _MOST_A_FRAME = 30
 """Sightings stored of an image: the surest of each part. A night of 50 images has as many as a day of the sun."""
 _EXTINCTION = 0.25
@@ -180,14 +180,14 @@ def _near_a_star(stars: Stars, predicted: PredictedStars) -> BoolArray:
 
 
 def _furthest(view: StarView, every: Sequence[StarView]) -> StarView | None:
-    """Return the image of the same night that is furthest in time; None where there is none."""
+    """Return the image of the same night that is furthest in time; None without another."""
     apart = [(abs(view.unix_s - one.unix_s), index) for index, one in enumerate(every)]
     same_night = [pair for pair in apart if 0.0 < pair[0] < _LONGEST_NIGHT_S]
     return every[max(same_night)[1]] if same_night else None
 
 
 def star_view(stars: Stars, unix_s: float, *, site: Site, calibration: Calibration) -> StarView:
-    """Return the detections of an image beside the stars that a calibration predicts in it."""
+    """Return the detections of an image, and the stars that a calibration predicts in it."""
     sky = night_sky(unix_s, site, faintest=FAINTEST_V)
     predicted = predict_stars(calibration, sky, within_px=BENT_PX)
     return StarView(unix_s=unix_s, sky=sky, stars=stars, predicted=predicted, camera=calibration.camera)

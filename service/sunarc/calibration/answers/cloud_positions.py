@@ -16,7 +16,7 @@ HIGHEST_CLOUD_M = 30_000.0
 def cloud_positions(
     ready: Lookup, pixels: FloatArray, *, height_m: FloatArray, height_sigma_m: ArrayLike, site: Site
 ) -> Located:
-    """Return the positions of the clouds that pixels (n, 2) see; NaN where there is none.
+    """Return the positions of the clouds that pixels (n, 2) see; NaN elsewhere.
 
     Parameters
     ----------

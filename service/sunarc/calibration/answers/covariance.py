@@ -1,4 +1,4 @@
-"""How sure one is of a direction or a pixel.
+"""Uncertainty of a direction or a pixel.
 
 The truth is camera plus field, the prediction is the camera with the field's mean as its displacement. The errors of
 both are jointly Gaussian: the covariance of the prediction's error is J C J' + (cross terms) + (what is not known of
@@ -193,7 +193,7 @@ _SAME = 1e-6
 def seen_sky(camera: Camera) -> FloatArray:
     """Return directions (n, 3) spread evenly over the part of the upper hemisphere that a camera sees.
 
-    Beyond the angle at which decentering outgrows the radius directions land in the image a second time: such are none.
+    Beyond the angle at which decentering outgrows the radius directions land in the image a second time: not counted.
     """
     directions = hemisphere()
     pixels = project(camera, directions)

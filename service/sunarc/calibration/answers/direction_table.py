@@ -28,9 +28,9 @@ from sunarc.optics.inverse_table import (
 Rows = FloatArray | NDArray[np.float32]
 
 BACK_PROJECTED = ("zenith_deg", "azimuth_deg", "east", "north", "up", "sigma_deg", "inside")
-"""Columns of what `Lookup.back_project` returns; `inside` is 1 or 0."""
+"""Columns of the answer of `Lookup.back_project`; `inside` is 1 or 0."""
 PROJECTED = ("x_px", "y_px", "sigma_px", "cov_xx_px2", "cov_xy_px2", "cov_yy_px2", "inside")
-"""Columns of what `Lookup.project` returns."""
+"""Columns of the answer of `Lookup.project`."""
 
 RINGS = 96
 SPOKES = 192
@@ -68,7 +68,7 @@ class Lookup:
     sigma_limit_deg: float | None = None
 
     def back_project(self, pixels: Rows) -> Rows:
-        """Return what pixels (n, 2) look at: (n, 7), the columns `BACK_PROJECTED`, in the precision of the pixels.
+        """Return the directions of pixels (n, 2): (n, 7), the columns `BACK_PROJECTED`, in the precision of the pixels.
 
         NaN where no direction lands on the pixel.
         """
@@ -184,7 +184,7 @@ _ROWS = 16
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BackProjectionMap:
-    """What every pixel sees, in single precision (1e-5 degrees); NaN outside the camera's field.
+    """Directions of every pixel, in single precision (1e-5 degrees); NaN outside the camera's field.
 
     Attributes
     ----------
@@ -202,7 +202,7 @@ class BackProjectionMap:
 
 
 def back_projection_map(ready: Lookup) -> BackProjectionMap:
-    """Return what `Lookup.back_project` returns for every pixel of the image."""
+    """Return the answer of `Lookup.back_project` for every pixel of the image."""
     height, width = ready.camera.height, ready.camera.width
     zenith, azimuth, sigma = (np.empty((height, width), dtype=np.float32) for _ in range(3))
     directions = np.empty((height, width, 3), dtype=np.float32)

@@ -169,7 +169,7 @@ def with_coefficients(error_model: CameraErrorModel, prediction: Predicted, axis
 
 
 def _coupled(error_model: CameraErrorModel, prediction: Predicted) -> FloatArray:
-    """Return (2n, q): what the parameters' errors leave open in the field, where the sun was seen."""
+    """Return (2n, q): the part of the field that the parameters' errors leave open, where the sun was seen."""
     both = np.stack([prediction.basis_values @ error_model.field.coupling[axis].T for axis in (0, 1)], axis=1)
     return both.reshape(2 * both.shape[0], both.shape[2])
 
@@ -230,7 +230,7 @@ class Ensemble:
         return int(self.sheets_px.shape[0])
 
     def displacement(self, draw: int, pixels: FloatArray) -> FloatArray:
-        """Return (n, 2): by how much one draw displaces what is estimated to be at pixels (n, 2), px.
+        """Return (n, 2): the displacement of estimated pixels (n, 2) by one draw, px.
 
         Beyond the camera's field it is that of the field's edge; NaN for a pixel that is NaN.
         """
@@ -332,7 +332,7 @@ def draw_errors(errors: CameraErrorModel, normal: FloatArray) -> tuple[FloatArra
 
 
 def covariance_root(covariance: FloatArray) -> FloatArray:
-    """Return F with F Fᵀ the covariance (p, p); what rounding made negative counts as 0.
+    """Return F with F Fᵀ the covariance (p, p); eigenvalues that rounding made negative count as 0.
 
     It is the symmetric one: that of the eigenvectors alone would differ from processor to processor.
     """

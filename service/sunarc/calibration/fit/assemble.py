@@ -62,11 +62,11 @@ class Job(NamedTuple):
 
 
 class FitOutcome(NamedTuple):
-    """What every method hands over.
+    """Result of a fit by any method.
 
     cameras: one an epoch. parameter_names, covariance (p, p), cross (2, p, m): of the last one, errors that no residual
     shows not yet folded in. residual (n, 2) px; used (n,): whether a sighting counted. mixture: None for a Gaussian.
-    doubts: what parts of the sightings say of the fit; None where that is not asked. sways_deg: see `with_pose_spread`.
+    doubts: of the fit by parts of the sightings; None where they are not asked for. sways_deg: see `with_pose_spread`.
     """
 
     cameras: list[Camera]
@@ -151,7 +151,7 @@ def _metrics(fitted: FitOutcome, usable: Sightings, cameras: list[Camera]) -> re
 
 
 def _evidence(job: Job, fitted: FitOutcome | None = None) -> result.Provenance:
-    """Return what a fit rests on, or what there is without one."""
+    """Return the evidence of a fit, or its part without one."""
     known = job.points.clock_error_s[np.isfinite(job.points.clock_error_s)]
     none = result.Provenance(
         days=tuple(date_of_day(int(day)).isoformat() for day in np.unique(job.usable.day)),
@@ -213,7 +213,7 @@ def refused(job: Job, findings: tuple[Finding, ...]) -> result.Calibration:
 
 
 def unseen_field(camera: Camera, *, size: int, amplitude_px: float = 0.0, length_px: float = 0.0) -> Field:
-    """Return a field of which nothing is known, beside `size` parameters; of amplitude 0 where it has no length."""
+    """Return a field of which nothing is known, with `size` parameters; of amplitude 0 where it has no length."""
     if amplitude_px <= 0.0 or length_px <= 0.0:
         amplitude_px, length_px = 0.0, float(min(camera.width, camera.height))
     basis = wave_basis(width=camera.width, height=camera.height, shortest_px=length_px, longest_px=length_px)

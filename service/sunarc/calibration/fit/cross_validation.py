@@ -1,4 +1,4 @@
-"""Whether parts of the sightings agree with the rest: days or thirds left out, the night against the day."""
+"""Agreement of parts of the sightings with the rest: days or thirds left out, the night against the day."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ def held_out(fit: FitState, usable: Sightings, parts: Sequence[_Without]) -> Hel
 
 
 class Doubts(NamedTuple):
-    """What parts of the sightings say of the fit of all.
+    """Doubts of the fit of all sightings by parts of them.
 
     n, rmse_px, stated_px : sightings of the part that was predicted worst, by what root mean square distance they were
         missed, and by what the fit without them states.
@@ -155,7 +155,7 @@ class Doubts(NamedTuple):
 
 
 class _Part(NamedTuple):
-    """How a part was predicted: see `Doubts`.
+    """Prediction of a part: see `Doubts`.
 
     errors : (k,) independent ones, by what is stated; open: (k,) whether the other parts leave much of a number open.
     """
@@ -177,7 +177,7 @@ class _Part(NamedTuple):
 def doubts(fit: FitState, usable: Sightings, without: Sequence[_Without]) -> Doubts:
     """Return how well fits without a part of the sightings predict it, see `without_parts`.
 
-    All that a part says of lens, pose and field are few numbers; where what is stated holds, their errors are
+    All that a part says of lens, pose and field are few numbers; where the stated errors hold, their errors are
     independent and of unit variance.
     """
     # the sun's track is judged: whether stars agree with it is a question of its own (`night_check`)
@@ -269,7 +269,7 @@ def _met(without: _Without, fit: FitState, usable: Sightings, judged: BoolArray)
 
 
 def _turn(factor: FloatArray, joint: FloatArray, said: FloatArray, fit: FitState, pose: int) -> tuple[float, float]:
-    """Return how surely errors (k,) of covariance (k, k) speak for a turn of a pose, and the turn in degrees."""
+    """Return the certainty of a turn of a pose by errors (k,) of covariance (k, k), and the turn in degrees."""
     columns = factor[fit.problem.pose_slice(pose)]
     weighed = np.linalg.solve(joint, np.column_stack([columns.T, said]))
     pull = columns @ weighed[:, -1]
@@ -283,19 +283,19 @@ def _turn(factor: FloatArray, joint: FloatArray, said: FloatArray, fit: FitState
 _PRIOR_SIGMAS = 4.5
 """Length of three systematic errors in units of their priors, beyond which they are no such errors: 1 in 7,000."""
 _SKY_SIGMAS = 3.0
-"""Change over the sky (root mean square) in units of what the day's sightings state of themselves."""
+"""Change over the sky (root mean square) in units of the day's stated error."""
 _MOST_REJECTED = 0.3
 """Share of the night's sightings without any weight; clouds and twinkling make a few per cent."""
 _OF_EITHER = {"sun_scatter", "sky"}
 """Contradictions that the sun's sightings may cause; a turn, an offset and rejected stars are the night's."""
 _AS_STATED_SUNS = 1.0
-"""Scatter of the suns about the night's camera over what they state, up to which nothing of them speaks against it."""
+"""Scatter of the suns about the night's camera over their stated one, up to which they do not contradict it."""
 _SUN_SCATTER = 1.15
-"""Scatter of the sun's track beside the fit of both over that beside its own fit."""
+"""Scatter of the sun's track about the fit of both over that about its own fit."""
 
 
 def contradiction(fit: FitState, usable: Sightings) -> Finding | None:
-    """Return what of the night contradicts the day, with value and limit; None where nothing does."""
+    """Return the contradiction of the night to the day, with value and limit; None without one."""
     night = usable.night
     if "night_pose" not in fit.problem.names:
         return None
@@ -349,7 +349,7 @@ def day_contradicts_night(found: Finding, day: Calibration, night: Calibration, 
 
 
 def _apart(one: Calibration, other: Calibration) -> float:
-    """Return how far another camera is from a calibration over the sky, in units of what that states."""
+    """Return the distance of another camera from a calibration over the sky, in units of the stated error."""
     sky = seen_sky(one.camera)
     pixels, covariance = project_with_covariance(one, sky)
     variance = np.trace(covariance, axis1=-2, axis2=-1)
@@ -359,7 +359,7 @@ def _apart(one: Calibration, other: Calibration) -> float:
 
 
 def _sun_scatter(fit: FitState, alone: MarginalFit, usable: Sightings, of_day: BoolArray) -> tuple[float, float]:
-    """Return the scatter of the track beside the fit of both over that beside the day's own, and the largest by chance.
+    """Return the scatter of the track about the fit of both over that about the day's own, and the largest by chance.
 
     Each is over its degrees of freedom: few suns are followed by a fit of their own alone. The fit of both is one of
     those that the day's might have been, and what that gains by chance has the distribution F.
@@ -390,7 +390,7 @@ def _sun_scatter(fit: FitState, alone: MarginalFit, usable: Sightings, of_day: B
 
 
 def _change_over_the_sky(fit: FitState, alone: MarginalFit) -> float:
-    """Return how far the two fits are apart over the sky, in units of what the day's states."""
+    """Return the distance of the two fits over the sky, in units of the day's stated error."""
     _, pixels, rows = shown_sky(fit.problem, fit.unknowns)
     change = rows @ (alone.unknowns - fit.system.at)
     basis = fit.grid.basis

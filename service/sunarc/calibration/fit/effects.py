@@ -195,7 +195,7 @@ POSSIBLE = frozenset({"night_offset", "night_pose", "air", "outwards", "grid", "
 
 
 SHOWN_BY_STARS = frozenset({"night_offset", "night_pose", "air"})
-"""Those that stars on all sides of the sky show: beside them their means make the better camera."""
+"""Those that stars on all sides of the sky show: with them their means make the better camera."""
 
 
 def with_effects(

@@ -74,7 +74,7 @@ def _longer(axes: FieldAxes, basis: WaveBasis, length_px: float, longer_px: floa
     """Return the axes of a longer field from those of one of `length_px`, which has more of every short wave.
 
     With S and T the spreads of the two, S P S = V diag(p) V' gives T P T = B B', B = T S⁻¹ V diag(√p), and what P has
-    beside that the longer field has still less of.
+    in addition that the longer field has still less of.
     """
     spread, longer = (np.sqrt(basis.variances(length_px=length)) for length in (length_px, longer_px))
     return _axes_of(longer, (longer / spread**2)[:, None] * axes.transform * np.sqrt(axes.information))
@@ -234,7 +234,7 @@ def marginal_fit(normal: NormalEquations, basis: WaveBasis, scales: Scales) -> M
 
 
 def field_at(normal: NormalEquations, basis: WaveBasis, scales: Scales) -> FloatArray:
-    """Return (2, m): the most probable coefficients of the field beside the unknowns at `normal.at`."""
+    """Return (2, m): the most probable coefficients of the field with the unknowns at `normal.at`."""
     turned = Turned.of(normal, basis, scales.length_px)
     shrink = turned.axes.posterior_variances(np.array([scales.amplitude_px]))[0]
     return turned.coefficients(shrink, np.zeros(normal.at.size))
@@ -249,7 +249,7 @@ def inverses(matrices: FloatArray) -> FloatArray:
 
 
 class FieldSums(NamedTuple):
-    """What sightings say of the unknowns beside each field of a grid, whatever the priors of the unknowns are.
+    """Information of sightings about the unknowns with each field of a grid, whatever the priors of the unknowns are.
 
     turned (j): the sums in the axes of each length; none of some of the unknowns. shrink (j): (i, r) of each amplitude.
     information (n, p, p), pull (n, p), penalty (n,): of the n = j · i fields, a length's together, each integrated out.
@@ -266,7 +266,7 @@ class FieldSums(NamedTuple):
 
     @classmethod
     def of(cls, normal: NormalEquations, basis: WaveBasis, amplitudes: FloatArray, lengths: FloatArray) -> FieldSums:
-        """Return the sums beside fields of all amplitudes (i,) and lengths (j,), px."""
+        """Return the sums with fields of all amplitudes (i,) and lengths (j,), px."""
         turned = [Turned.of(normal, basis, float(length)) for length in lengths]
         shrink = [one.axes.posterior_variances(amplitudes) for one in turned]
         pairs = list(zip(turned, shrink, strict=True))
@@ -319,7 +319,7 @@ class FieldSums(NamedTuple):
     def equations(
         self, fields: IntArray, lens_scales: FloatArray, square: FloatArray | float = 1.0
     ) -> LensScaleEquations:
-        """Return the equations beside some of the fields under the same."""
+        """Return the equations with some of the fields under the same."""
         precision = self._precision(square)
         return LensScaleEquations.of(self.information[fields], self.pull[fields], self.at, precision, lens_scales**-2.0)
 
@@ -437,7 +437,7 @@ class LensScaleEquations:
         return np.concatenate([radial * pull, step], axis=-1), result
 
     def of_others(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return what all unknowns take from the others, the turned ones being known and at rest.
+        """Return the part that all unknowns take from the others, the turned ones being known and at rest.
 
         Returns
         -------
@@ -474,11 +474,11 @@ class Turned(NamedTuple):
         return np.asarray((shrink * (self.residual - explained)) @ self.axes.transform.T)
 
     def explained(self, shrink: FloatArray) -> FloatArray:
-        """Return (..., p): what fields of variances (..., r) take from the sightings' pull on the parameters."""
+        """Return (..., p): the part of fields of variances (..., r) in the sightings' pull on the parameters."""
         return np.asarray(shrink @ np.einsum("apr,ar->rp", self.rows, self.residual))
 
     def absorbed(self, shrink: FloatArray) -> FloatArray:
-        """Return (..., p, p): what fields of variances (..., r) take from the sightings' information on them."""
+        """Return (..., p, p): the part of fields of variances (..., r) in the sightings' information on them."""
         p, (x, y) = self.rows.shape[1], self.rows
         products = (x[:, None] * x + y[:, None] * y).reshape(p * p, -1)
         return np.asarray(shrink @ products.T).reshape(*shrink.shape[:-1], p, p)
@@ -502,10 +502,10 @@ _FIELD_LOG_SIGMA = math.log(3.0)
 """Where a lens is not as modelled, it is by tenths of px: the paper's own data miss the model by 0.5 to 1.2 px."""
 _LARGEST_FIELD_PX = 1.5
 """1-sigma, px, of a Gaussian bound on the amplitude. A displacement of several px is a matter of the lens's own
-parameters; without the bound, a large field beside a lens that fits nothing can be the more probable explanation of a
+parameters; without the bound, a large field with a lens that fits nothing can be the more probable explanation of a
 lens with a strong radial residual."""
 _NO_FIELD = 1.5
-"""Odds, before the sightings are looked at, that there is no field but the floor's."""
+"""Odds, before any sighting, that there is no field but the floor's."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -568,7 +568,7 @@ def log_weights(normal: NormalEquations, grid: HyperparameterGrid) -> FloatArray
 
 
 def field_sums(normal: NormalEquations, grid: HyperparameterGrid) -> FieldSums:
-    """Return the sums beside the fields of a grid."""
+    """Return the sums with the fields of a grid."""
     return FieldSums.of(normal, grid.basis, grid.amplitudes, grid.lengths)
 
 

@@ -134,7 +134,7 @@ def system_about(
 
 
 class Converged(NamedTuple):
-    """Where the steps converged: the unknowns (p,), the linear fit from there, what was gained, the log evidence.
+    """Point where the steps converged: the unknowns (p,), the linear fit from there, the gain, the log evidence.
 
     The gain is of twice the log posterior; the evidence is about the unknowns, but for a constant of the scales.
     """
@@ -163,7 +163,7 @@ def converged_in_axes(
     *,
     steps: int = _STEPS,
 ) -> Converged:
-    """Return what `most_probable_with_field` does, from a start, for a system in the field's axes."""
+    """Return the point of `most_probable_with_field`, from a start, for a system in the field's axes."""
     equations = _Equations.of(problem, system, scales)
     at = np.array(start, dtype=np.float64)
     sums = equations.about(at)
@@ -190,7 +190,7 @@ def converged_in_axes(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Equations:
-    """What a solve's equations are made of, wherever it stands.
+    """Terms of a solve's equations, wherever it stands.
 
     Attributes
     ----------
@@ -261,7 +261,7 @@ class _Sums(NamedTuple):
     penalty: float
 
     def step(self) -> tuple[FloatArray, float]:
-        """Return the step (p,) and what it promises; 0 where the equations cannot be solved."""
+        """Return the step (p,) and its expected gain; 0 where the equations cannot be solved."""
         scale = 1.0 / np.sqrt(np.maximum(np.diag(self.matrix), 1e-300))
         scaled = self.matrix * scale[:, None] * scale + RIDGE * np.eye(scale.size)
         try:

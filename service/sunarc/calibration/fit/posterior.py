@@ -1,8 +1,8 @@
-"""How far a fit may be off: a mixture over all plausible scales, stated as a Gaussian and its departure.
+"""Posterior of a fit: a mixture over all plausible scales, stated as a Gaussian and its departure.
 
 Each choice of scales gives its own covariance, and the errors are a mixture of them. What is stated is the mean of the
 covariances, enlarged or made smaller as a whole such that its 95 % ellipses hold 95 % of the mixture in the mean over
-the sky, and beside it how the mixture is spread about that at places over the image (`ErrorMixture`).
+the sky, and with it how the mixture is spread about that at places over the image (`ErrorMixture`).
 """
 
 from __future__ import annotations
@@ -47,11 +47,11 @@ _RIDGE = 1e-12
 _NEGLIGIBLE_WAVE = 1e-9
 """Share of the largest variance of a wave below which it has no part in the unknowns' errors."""
 _LEAST_COUPLED = 1e-6
-"""Share of the largest variance below which what the parameters leave open in the field is left out."""
+"""Share of the largest variance below which the coupling of parameters and field is left out."""
 
 
 def seen_field(unseen: Field, normal: NormalEquations, covariance: FloatArray) -> Field:
-    """Return the field with what sightings tell of it about its mean.
+    """Return the field with the information of sightings about its mean.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ _WEIGHT_RETAINED = 0.985
 _NEGLIGIBLE_SHARE = 1e-3
 """Probability of pixels that are not square below which they are left out."""
 PROBES = 60
-"""Directions over the sky at which the mixture is looked at: 18 degrees apart."""
+"""Directions over the sky at which the mixture is evaluated: 18 degrees apart."""
 SHARES = np.array([0.4, 0.3, 0.18, 0.09, 0.03])
 """Of the classes of the mixture, from small errors to large ones."""
 _SMALLEST = 1e-6
@@ -134,7 +134,7 @@ _COS_DOUBLED = np.cos((np.arange(4) + 0.5) * math.pi / 4.0)
 
 
 class PosteriorCovariance(NamedTuple):
-    """How far a fit may be off, the scales not being known.
+    """Covariance of a fit, the scales not being known.
 
     The covariance (p, p) of the unknowns, the field, and how the mixture is spread about these; None: not known.
     """
@@ -161,7 +161,7 @@ class Choices:
     known (f, p, p), back (f, p, q): the covariance of the unknowns where those q whose scales are tried are known, and
     the derivatives by these, turned; covariance (k, q, q): theirs under each choice; see `LensScaleEquations`.
     shift (k, p): from the fit that is doubted; field_shift (k, 2, m): that of the field's mean, where it is predicted.
-    beside (p, p): what the covariance of the unknowns has in addition, whatever the choice.
+    in addition to (p, p): the part of the unknowns' covariance whatever the choice.
     """
 
     share: FloatArray
@@ -210,7 +210,7 @@ class Choices:
     def moments(self, left: FloatArray, right: FloatArray, beside: FloatArray, shift: FloatArray) -> FloatArray:
         """Return (k, 3, n): L' C R made symmetric, xx, xy and yy at n places, of each field's L and R (f, 2, p, n).
 
-        With what each field has `beside` it (f, 3, n), and the products of a shift (2, k, n) of each choice.
+        With the part of each field in `beside` (f, 3, n), and the products of a shift (2, k, n) of each choice.
         """
         through = self.known[:, None] @ right
         xx, xy, yx, yy = (np.einsum("fpn,fpn->fn", left[:, a], through[:, b]) for a in (0, 1) for b in (0, 1))
@@ -291,9 +291,9 @@ def plausible(
 
     Parameters
     ----------
-    sums : beside the fields of the grid.
+    sums : with the fields of the grid.
     grid, unknowns, mean : see `stated_posterior`.
-    beside : (p, p) what each covariance of the unknowns has in addition; None: nothing.
+    beside : (p, p) the part of each covariance of the unknowns in addition; None: nothing.
     square : prior precisions of the aspect ratio and of the skew, (2,) or of both.
     """
     weight = normalised(grid.log_prior + sums.log_evidence(grid.lens_scales, square))
@@ -395,11 +395,11 @@ _DRAWN = 96
 _EVENLY = np.array([0.7548776662466927, 0.5698402909980532])
 """Steps of Roberts's sequence, which fills the unit square evenly."""
 _FEW_PX = 1e-3
-"""Weight of the prior beside the squares over the sky, where unknowns are to move it as the products do."""
+"""Weight of the prior with the squares over the sky, where unknowns are to move it as the products do."""
 
 
 class _Six(NamedTuple):
-    """What sightings say of p1, p2, p1 p3, p2 p3, p1 p4 and p2 p4, all else eliminated.
+    """Information of sightings about p1, p2, p1 p3, p2 p3, p1 p4 and p2 p4, all else eliminated.
 
     information (6, 6), pull (6,): about 0. at (4,), values (6,): p1 to p4 of the fit, and the six.
     others (o,), by_six (o, 6): the places of all else, and by how much it changes with the six.
@@ -417,7 +417,7 @@ class _Six(NamedTuple):
 
     @classmethod
     def of(cls, problem: FitProblem, system: LinearSystem, scales: Scales, grid: HyperparameterGrid) -> _Six:
-        """Return what the sightings of a fit say."""
+        """Return the information of the sightings of a fit."""
         at, others = system.at, np.setdiff1d(np.arange(system.at.size), _DECENTERED)
         columns, n = _by_six(problem, system.observed, at), others.size
         values = np.outer(np.r_[1.0, at[HIGHER]], at[DECENTERING]).ravel()
@@ -505,10 +505,10 @@ class _Six(NamedTuple):
 
 
 def of_products(problem: FitProblem, system: LinearSystem, scales: Scales, grid: HyperparameterGrid) -> FloatArray:
-    """Return (p, p): what the unknowns' covariance has because the decentering is not linear in p1 to p4.
+    """Return (p, p): the part of the unknowns' covariance because the decentering is not linear in p1 to p4.
 
     It is (p1, p2) × (1 + p3 θ² + p4 θ⁴): linear in six numbers, and in p1 and p2 where p3 and p4 are known. Where p1
-    and p2 are near 0 the other two are not seen, nor what other p1 and p2 would do beside them: a Gaussian about the
+    and p2 are near 0 the other two are not seen, nor the effect of other p1 and p2 with them: a Gaussian about the
     fit is then far too narrow. By how much the second moment of the six is larger than its own is returned, as that
     of unknowns that move the sky alike.
     """

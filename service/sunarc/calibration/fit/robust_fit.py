@@ -77,7 +77,7 @@ _FINEST = 0.9
 
 
 class AllowedLevel(NamedTuple):
-    """How well sightings must be met.
+    """Level to which sightings must be met.
 
     scales, costs (3,): scales of the loss, px, and the largest robust cost at each. median: the largest one, px.
     """
@@ -100,13 +100,13 @@ def allowed_level(
     cost_ratio: float,
     median_ratio: float = math.inf,
 ) -> AllowedLevel:
-    """Return the level that a fit must reach beside another one that met the sightings at some distances.
+    """Return the level that a fit must reach against another one that met the sightings at some distances.
 
     Parameters
     ----------
     distance : (n,) of the other one, px.
     sigma : px, the noise.
-    field_px : 1-sigma of what no lens explains, as the data speak for it: the camera may miss them by `FIELD_EXCESS`
+    field_px : 1-sigma of the displacement outside the lens, by the data: the camera may miss them by `FIELD_EXCESS`
         times as much, `LENS_MISFIT_PX` of it counted at most.
     weight : what a px counts in the distances, see `finest_weight`.
     cost_ratio, median_ratio : by how much cost and median may be larger without a field.
@@ -119,7 +119,7 @@ def allowed_level(
 
 
 def finest_weight(observed: Sightings) -> float:
-    """Return what a px counts in the weighted distances of the finest sightings: a field moves them as others.
+    """Return the weight of a px in the weighted distances of the finest sightings: a field moves them as others.
 
     Beside 5,000 stars of 0.2 px a sun of 0.03 px counts six times, and so does what a field moves it by.
     """
@@ -238,7 +238,7 @@ def robust_rounds(
     groups: NoiseGroups,
     grid: HyperparameterGrid,
 ) -> FitState:
-    """Return the fit beside a field from the robust fit without one.
+    """Return the fit with a field from the robust fit without one.
 
     Parameters
     ----------
@@ -444,7 +444,7 @@ def fit_robustly(
     Parameters
     ----------
     observed : sightings, in the order of time within each epoch.
-    cameras : of the coarse search, one an epoch; other starts are tried beside it.
+    cameras : of the coarse search, one an epoch; other starts are tried as well.
     options : floor of the field, and tolerances of the lens.
     circle : the image circle, where it is known.
     """
@@ -508,7 +508,7 @@ def log_odds_of_parts(normal: NormalEquations, basis: WaveBasis, scales: Scales)
 
     Returns
     -------
-    `skew`, `radial` (k2 … k9 beside the projection) and `decentering` (p1 and p2). `radial_terms` is how many of the
+    `skew`, `radial` (k2 … k9 of the projection) and `decentering` (p1 and p2). `radial_terms` is how many of the
     eight shapes of the radial distortion, the largest first, are needed: the odds of all others are below 3 to 1.
 
     Notes

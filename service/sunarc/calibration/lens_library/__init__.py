@@ -1,1 +1,1 @@
-"""Lenses of one type: what several cameras say of it, and what a fit or a pose gains from that."""
+"""Lenses of one type: the prior that several cameras give, and its use in a fit or a pose."""

@@ -1,4 +1,4 @@
-"""A fit that is given what is known of its type of lens, and how far it went from that.
+"""Fit with the prior of its type of lens, and its distance from that.
 
 The fit of the sightings alone is made first: it decides which sightings count, how noisy they are, and what no lens
 model describes. The type then takes the place of the fit's own prior of the lens; pose and field follow by their
@@ -51,7 +51,7 @@ _FALSE_ALARMS = 0.001
 
 
 class Departure(NamedTuple):
-    """RMS departure in the prior's sigmas over what the sightings determine, the largest that is none, and of what."""
+    """RMS departure in the prior's sigmas over the determined quantities, the largest admissible one, and its name."""
 
     rms: float
     limit: float
@@ -59,7 +59,7 @@ class Departure(NamedTuple):
 
     @property
     def contradicts(self) -> bool:
-        """Whether a right prior leads to this once in a thousand cases at most."""
+        """Return whether a right prior leads to this once in a thousand cases at most."""
         return self.rms > self.limit
 
 
@@ -104,7 +104,7 @@ def departure_of(change: FloatArray, remaining: FloatArray) -> Departure:
 
 
 def _largest_square(weights: FloatArray) -> float:
-    """Return what a sum of squares of normals with these variances exceeds rarely (Satterthwaite)."""
+    """Return the bound that a sum of squares of normals with these variances exceeds rarely (Satterthwaite)."""
     first, second = float(weights.sum()), float(weights @ weights)
     if second < 1e-12:
         return math.inf
@@ -136,7 +136,7 @@ class Conditioned(NamedTuple):
 
 
 def with_lens(solved: Calibration, lens: LensType, *, points: Sightings, options: CalibrationOptions) -> Calibration:
-    """Return a fit of sightings with what is known of its type of lens.
+    """Return a fit of sightings with the prior of its type of lens.
 
     Refused where the sightings contradict the type; unchanged, with a finding, where the type makes an accepted fit
     meet its sightings worse.

@@ -61,7 +61,7 @@ from sunarc.sky.site import Site
 
 
 def level(camera: Camera, azimuth_rad: float) -> Camera:
-    """Return a camera that looks at the zenith, the top of its image towards an azimuth (clockwise from north)."""
+    """Return a camera whose axis is vertical, the top of its image towards an azimuth (clockwise from north)."""
     sine, cosine = math.sin(azimuth_rad), math.cos(azimuth_rad)
     # rows: image right, down and out of the lens in east, north, up; looking up, east is left of north
     matrix = np.array([[-cosine, sine, 0.0], [-sine, -cosine, 0.0], [0.0, 0.0, 1.0]])
@@ -87,7 +87,7 @@ _AZIMUTHS = 48
 _COARSE = 12
 """Sightings, spread over time, that the azimuths are compared by."""
 _REFINED = 6
-"""Of them, those that are looked at with exact equations."""
+"""Starts of them that are refined with exact equations."""
 _NONLINEAR_PX = 3.0
 """By how much the equations about a level camera are off for one that is tilted by 3 degrees and turned by 4."""
 _CELL_RAD = math.radians(6.0)
@@ -99,7 +99,7 @@ _DECIDED = 3.0
 _SAME_POSE_RAD = math.radians(15.0)
 _CLOSE = 6.0
 _LENS_PX = 1.0
-"""By which a lens of the type images neighbouring places differently, beside a common shift."""
+"""By which a lens of the type images neighbouring places differently, apart from a common shift."""
 _LARGEST_SIGMA_DEG = 10.0
 """Direction uncertainty, RMS over the sky, from which on a pose is of no use: clouds of the wrong half of the sky."""
 
@@ -216,7 +216,7 @@ def _refined(cell: CameraErrorModel, base: Camera, coarse: Sightings) -> tuple[f
 def _judged(
     result: Calibration, found: _FoundPose, other: _FoundPose, lens: LensType, known: FirstPoseOptions
 ) -> Calibration:
-    """Return the calibration with a verdict that says what is known of its pose, and why it is not served."""
+    """Return the calibration with a verdict about its pose, and why it is not served."""
     north = {"north_sigma_deg": north_sigma_deg(result), "top_azimuth_deg": top_azimuth_deg(result.camera)}
     against = _against(found, other, known, north)
     departure = _departure(found, lens)
@@ -229,7 +229,7 @@ def _judged(
 
 
 def _against(found: _FoundPose, other: _FoundPose, known: FirstPoseOptions, north: dict[str, float]) -> list[Finding]:
-    """Return what speaks against serving a pose."""
+    """Return the objections to serving a pose."""
     odds = found.log_evidence - other.log_evidence
     if odds < -_DECIDED:
         return [Finding("first_pose_mirrored", {"log10_odds": -odds / math.log(10.0)})]
@@ -247,7 +247,7 @@ def _against(found: _FoundPose, other: _FoundPose, known: FirstPoseOptions, nort
 
 
 def _departure(found: _FoundPose, lens: LensType) -> Departure:
-    """Return how far lens and tilt are from what was known of them."""
+    """Return the departure of lens and tilt from their priors."""
     prior, after = found.prior, found.fit.error_model
     vector = found.fit.camera.to_vector() - found.base.to_vector()
     tilt = prior.rotation[:2]

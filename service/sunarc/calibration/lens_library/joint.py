@@ -2,7 +2,7 @@
 
 The epochs of one camera share its lens exactly: their sightings are fitted together, each with a pose of its own. The
 cameras share it up to the spread between units: with the lenses' posteriors Gaussian, the joint posterior of each is
-its own fit given what all the others say of the type (`further_unit`); no system of all unknowns has to be solved.
+its own fit given the information of all the others (`further_unit`); no system of all unknowns has to be solved.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Unit(NamedTuple):
 
 
 def lens_type_of(units: Sequence[Unit], *, spread: lens_type.UnitSpread | None = None) -> lens_type.LensType:
-    """Return what calibrations of several cameras say of their type of lens.
+    """Return the type of lens of calibrations of several cameras.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def _kind(camera: Camera) -> dict[str, object]:
 
 
 def _require_alike(kinds: Sequence[tuple[str, Mapping[str, object]]]) -> None:
-    """Raise InputError where cameras, each with its name, differ in what those of one type have in common."""
+    """Raise InputError where cameras, each with its name, differ in a property that those of one type share."""
     first, common = kinds[0]
     for name, kind in kinds:
         for what, value in kind.items():

@@ -1,4 +1,4 @@
-"""What is known of a type of lens: its mean, how far a unit may be from it, and the coordinates of both."""
+"""A type of lens: its mean, the spread of a unit about it, and the coordinates of both."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ IN_FREE = np.isin(priors.FREE, priors.LENS)
 """Which of a calibration's 20 parameters are the lens's."""
 _RIGHT_ANGLE = math.pi / 2
 _BROAD = [priors.Whitened.FOCAL_LENGTH, priors.Whitened.CENTER_X, priors.Whitened.CENTER_Y]
-"""What a fit's prior says next to nothing of, or says by the image circle, which was measured."""
+"""Directions in which a fit's prior is broad, or rests on the image circle, which was measured."""
 PARTS = {
     "focal length": np.array([priors.Whitened.FOCAL_LENGTH]),
     "centre": np.array([priors.Whitened.CENTER_X, priors.Whitened.CENTER_Y]),
@@ -45,7 +45,7 @@ class Gaussian(NamedTuple):
 
 
 class Information(NamedTuple):
-    """What sightings say of a lens: matrix (17, 17), the inverse covariance, and its product with the mean, (17,)."""
+    """Information about a lens: matrix (17, 17), the inverse covariance, and its product with the mean, (17,)."""
 
     matrix: FloatArray
     vector: FloatArray
@@ -100,7 +100,7 @@ def prior_precision_of(posterior: Gaussian, radial_px: float) -> FloatArray:
 
 
 def information_of(posterior: Gaussian, radial_px: float) -> Information:
-    """Return what the sightings of a fit say: its posterior without its prior about the ideal lens.
+    """Return the information of the sightings of a fit: its posterior without its prior about the ideal lens.
 
     Directions in which a posterior is no narrower than the prior have no information.
 
@@ -130,7 +130,7 @@ def spread_scales(focal_px: float, center_px: float, radial_px: float, decenteri
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UnitSpread:
-    """How far units of one lens are from each other: 1-sigma.
+    """Spread of the units of one lens: 1-sigma.
 
     The defaults are guesses on the wide side, about a third of what a fit assumes of any lens: no survey of units of
     one fisheye lens is known. Three measured units replace them.
@@ -149,7 +149,7 @@ class UnitSpread:
     decentering_px: Annotated[float, Gt(0.0), Le(20.0)] = 0.5
 
     def __post_init__(self) -> None:
-        """Refuse a spread that is none."""
+        """Refuse an invalid spread."""
         require_bounds(self, section_path="spread")
 
     def scales(self, focal_px: float) -> FloatArray:
@@ -189,7 +189,7 @@ class LensType:
         return _in_frame(self.camera, self.covariance, self.frame)
 
     def as_evidence(self) -> dict[str, Any]:
-        """Return what a fit tells of the type that it was given."""
+        """Return the information of a fit about the type that it was given."""
         return {"cameras": list(self.cameras), "days": list(self.days), "spread": asdict(self.spread)}
 
 

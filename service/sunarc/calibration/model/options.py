@@ -1,4 +1,4 @@
-"""What may be chosen: the method, what is known of the lens, and how sure one is of it."""
+"""Options of a fit: the method, the lens, and their priors."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ EllipseScope = Literal["focal_lengths", "with_decentering"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LensTolerances:
-    """How far a lens may be from its ideal: 1-sigma priors of the robust method.
+    """Tolerances of a lens about its ideal: 1-sigma priors of the robust method.
 
     Attributes
     ----------
@@ -44,13 +44,13 @@ class LensTolerances:
     focal_length_fraction: Positive = 0.3
 
     def __post_init__(self) -> None:
-        """Refuse tolerances that are none."""
+        """Refuse invalid tolerances."""
         require_bounds(self, section_path="calibration.tolerances")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PaperOptions:
-    """What the paper leaves open of its own procedure (sections 4.1 and 4.2).
+    """Choices that the paper leaves open in its own procedure (sections 4.1 and 4.2).
 
     Attributes
     ----------
@@ -70,13 +70,13 @@ class PaperOptions:
     monotony_weight: NonNegative = 1e3
 
     def __post_init__(self) -> None:
-        """Refuse choices that are none."""
+        """Refuse invalid choices."""
         require_bounds(self, section_path="calibration.paper")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrationOptions:
-    """How to fit, and when to accept.
+    """Options of a fit, and of its acceptance.
 
     Attributes
     ----------
@@ -119,7 +119,7 @@ class CalibrationOptions:
     paper: PaperOptions = field(default_factory=PaperOptions)
 
     def __post_init__(self) -> None:
-        """Refuse choices that are none."""
+        """Refuse invalid choices."""
         require_bounds(self, section_path="calibration")
 
     @property
@@ -147,13 +147,13 @@ class ImageCircle:
     angle_deg: Annotated[float, Gt(0.0), Le(180.0)] = 90.0
 
     def __post_init__(self) -> None:
-        """Refuse what is no circle."""
+        """Refuse an invalid circle."""
         require_bounds(self, section_path="image circle")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FirstPoseOptions:
-    """What is known of a camera's pose before its first sighting.
+    """Prior of a camera's pose before its first sighting.
 
     Attributes
     ----------
@@ -167,5 +167,5 @@ class FirstPoseOptions:
     top_within_deg: Annotated[float, Gt(0.0), Le(180.0)] = 30.0
 
     def __post_init__(self) -> None:
-        """Refuse what is no pose."""
+        """Refuse an invalid pose."""
         require_bounds(self, section_path="first_pose")

@@ -1,4 +1,4 @@
-"""What no lens model describes: a smooth random field of displacements over the image, in a low-rank basis.
+"""Displacement outside the lens model: a smooth random field over the image, in a low-rank basis.
 
 Both components are independent Gaussian processes with the kernel A² exp(-d²/2L²), written as a sum over the sine waves
 that vanish on a box around the image; A and L enter only through the variances of the coefficients.
@@ -16,7 +16,7 @@ from sunarc.common.array_types import FloatArray
 from sunarc.optics.displacement import WaveBasis
 
 LEAST_UNKNOWN = 0.02
-"""1-sigma of a field, as a share of its amplitude, that always stays unknown: about what the waves left out hold."""
+"""1-sigma of a field, as a share of its amplitude, that always stays unknown: about that of the waves left out."""
 
 
 def _nothing() -> FloatArray:
@@ -25,10 +25,10 @@ def _nothing() -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Field:
-    """What a calibration does not know of the field: its errors about the camera's displacement.
+    """Uncertainty of the field: the errors of the camera's displacement.
 
     With D the variances of the coefficients before any sighting, `WaveBasis.variances` times the square of the
-    amplitude, the errors of the coefficients have the covariance D - Kᵀ K for either component, and beside it Bᵀ B
+    amplitude, the errors of the coefficients have the covariance D - Kᵀ K for either component, and in addition Bᵀ B
     over both.
 
     Attributes
@@ -50,7 +50,7 @@ class Field:
     coupling: FloatArray = field(default_factory=_nothing)
 
     def __post_init__(self) -> None:
-        """Give what is left out its shape: nothing is known but how field and parameters hang together."""
+        """Give the omitted parts their shape: nothing is known but how field and parameters hang together."""
         waves = len(self.basis.orders)
         object.__setattr__(self, "known", self.known.reshape(-1, waves) if waves else np.zeros((0, 0)))
         object.__setattr__(self, "coupling", self.coupling.reshape(2, -1, waves) if waves else np.zeros((2, 0, 0)))
@@ -76,7 +76,7 @@ class Field:
         return np.asarray((values @ self.known.T) / np.sqrt(np.where(own > 0.0, own, 1.0))[:, None])
 
     def covariance(self, rows: FloatArray, values: FloatArray) -> FloatArray:
-        """Return (n, 2, 2), px²: what the field adds to the covariance of the prediction's errors.
+        """Return (n, 2, 2), px²: the field's part of the covariance of the prediction's errors.
 
         Parameters
         ----------

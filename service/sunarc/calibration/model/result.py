@@ -1,4 +1,4 @@
-"""What a calibration is: a camera, how sure one is of it, how well it meets sightings, whether it may be used."""
+"""A calibration: a camera, its uncertainty, its residuals, and its verdict."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ STRONG_EVIDENCE = math.log(20.0)
 """Log odds from which on sightings prove something: 20 to 1, the usual "strong" evidence."""
 _SUSPICION, _PROOF = math.log(100.0), 10.0
 """Log odds of an error that sightings share and that is there in one camera of a hundred: as probable as not, and
-proven. What a lens's eight coefficients do not say of its radius looks like a bias along it with log odds of 4, and
+proven. A residual radius outside a lens's eight coefficients looks like a bias along it with log odds of 4, and
 on one day a decentering of 5 px like pixels that are not square with 8."""
 
 _CERTAINLY_NOT = 100.0
@@ -34,7 +34,7 @@ _CERTAINLY_NOT = 100.0
 
 
 _PROOF_OF = {"air": STRONG_EVIDENCE, "sways": 40.0}
-"""Other air is usual. What errs alike for hours is another turn on every day: up to 32 where no mount sways."""
+"""Other air is usual. An error common to hours is another turn on every day: up to 32 where no mount sways."""
 
 
 def suspects(log_odds: float) -> bool:
@@ -62,7 +62,7 @@ def proves(error: str, log_odds: float) -> bool:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Metrics:
-    """Eq. 27 over a set of sightings; NaN where there are none.
+    """Eq. 27 over a set of sightings; NaN without sightings.
 
     Attributes
     ----------
@@ -143,7 +143,7 @@ def residual_angles(camera: Camera, pixels: FloatArray, directions: FloatArray) 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
-    """Whether a calibration may be used, and why (not): at least one finding.
+    """Verdict of a calibration, and its reasons: at least one finding.
 
     A marginal one is not used, but nothing is wrong with it: it is kept as a candidate that a person may serve.
     """
@@ -160,7 +160,7 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Provenance:
-    """What a fit rests on, so that it can be made again.
+    """Inputs of a fit, so that it can be made again.
 
     Attributes
     ----------
@@ -183,7 +183,7 @@ class Provenance:
         and of a field, how many `radial_terms` are needed, and of the errors that sightings share, see `fit.effects`;
         `season_share`: by how much of itself the focal length changed within the record, where that is proven. Empty
         where the method does not compare them.
-    held_out : what parts of the sightings say of the fit, by name, see `Doubts`; the covariance is widened by the
+    held_out : doubts by parts of the sightings, by name, see `Doubts`; the covariance is widened by the
         square of its `widening`. Empty where no part was held against the fit.
     """
 
@@ -209,7 +209,7 @@ class Provenance:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NightDifference:
-    """How the sightings of the night differ from those of the day, by a fit of both; the calibration is the day's.
+    """Difference of the sightings of the night from those of the day, by a fit of both; the calibration is the day's.
 
     Attributes
     ----------
@@ -234,7 +234,7 @@ _NOMINAL = 0.95
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ErrorMixture:
-    """How errors are spread about the Gaussian that is stated: a mixture of c Gaussians, at n places over the image.
+    """Spread of the errors about the stated Gaussian: a mixture of c Gaussians, at n places over the image.
 
     Attributes
     ----------
@@ -254,7 +254,7 @@ class ErrorMixture:
         return np.asarray((weight / weight.sum(axis=1, keepdims=True)) @ self.scales)
 
     def sigma_factors(self, pixels: FloatArray, share: float) -> FloatArray:
-        """Return (k,): by what the stated 1-sigma at pixels (k, 2) is to be multiplied for a share's ellipse.
+        """Return (k,): the factor of the stated 1-sigma at pixels (k, 2) for a share's ellipse.
 
         The ellipse of a share q of a Gaussian is that of its 1-sigma, times √(-2 log(1 - q)).
         """
@@ -262,7 +262,7 @@ class ErrorMixture:
         return np.asarray(held / math.sqrt(-2.0 * math.log1p(-share)))
 
     def sigma_factor(self) -> float:
-        """Return by what all stated 1-sigmas are to be multiplied, that 95 % lie in their ellipses over all places."""
+        """Return the factor of all stated 1-sigmas with which 95 % lie in their ellipses over all places."""
         count = self.scales.shape[0]
         held = distances_holding(np.tile(self.shares / count, count), self.scales.reshape(1, -1), _NOMINAL)
         return float(held[0]) / math.sqrt(-2.0 * math.log1p(-_NOMINAL))
@@ -272,7 +272,7 @@ class ErrorMixture:
         return replace(self, scales=self.scales / factor)
 
     def beside(self, ratio: FloatArray) -> ErrorMixture:
-        """Return the mixture beside a Gaussian error of its own: it has had a ratio (n,) of the variance of both."""
+        """Return the mixture with a Gaussian error of its own: it has had a ratio (n,) of the variance of both."""
         return replace(self, scales=np.sqrt(1.0 + ratio[:, None] * (self.scales**2 - 1.0)))
 
 

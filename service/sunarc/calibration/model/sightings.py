@@ -1,4 +1,4 @@
-"""What a fit is given: sightings of the sun, and what a fit may use of them."""
+"""Input of a fit: sightings of the sun, and the selection that a fit may use."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ MAX_CLOCK_ERROR_S = 2.0
 
 
 class Filtering(NamedTuple):
-    """What `filter_sightings` left out, and what was stated of the sightings that it retained.
+    """Sightings left out by `filter_sightings`, and the statements about those that it retained.
 
     dropped: how many were left out, a finding for each cause. static: positions left out that do not move with the sun.
     stated_sigma_px: root mean square of the stated 1-sigma, px per axis; NaN where none is stated. n_below_horizon:
@@ -143,7 +143,7 @@ class Filtering(NamedTuple):
 
 
 _OF_THE_TABLE = {"pixels", "filtering"}
-"""Fields that are not said of all sightings where they have one row."""
+"""Fields that are not stated for all sightings where they have one row."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -203,7 +203,7 @@ class Sightings:
     filtering: Filtering = field(default_factory=Filtering)
 
     def __post_init__(self) -> None:
-        """Give every sighting what is said of all."""
+        """Repeat for every sighting the values stated once for all."""
         n = len(self)
         for name in self.__dataclass_fields__.keys() - _OF_THE_TABLE:
             column = getattr(self, name)
@@ -296,7 +296,7 @@ def time_step_s(unix_s: FloatArray) -> float:
 
 
 def _column(name: str, values: ArrayLike, length: int | None) -> FloatArray:
-    """Return a read-only copy of a column, (n,), or of unit vectors, (n, 3); what is given once is given for all."""
+    """Return a read-only copy of a column, (n,), or of unit vectors, (n, 3); one row is repeated for all."""
     vectors = name == "directions"
     try:
         column = np.array(values, dtype=np.float64)
@@ -331,7 +331,7 @@ def apparent_directions(points: Sightings, *, site: Site) -> FloatArray:
 
 
 def filter_sightings(points: Sightings, *, site: Site, image_size: tuple[int, int] | None = None) -> Sightings:
-    """Return what a fit can use: finite, in the image, above the horizon, one sighting a moment, moving with the sun.
+    """Return the usable sightings: finite, in the image, above the horizon, one a moment, moving with the sun.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""How smooth a day's arc is (Eq. 20), and whether a fit explains the days of its sightings."""
+"""Smoothness of a day's arc (Eq. 20), and the days of its sightings that a fit does not explain."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ _FEWEST_TO_JUDGE = 20
 """Sightings that show whether it was clear; days of fewer are judged with those after them, by the same hours."""
 _FEWEST_OF_HALF = 6
 _STATED_AT = 40
-"""Sightings of a half-day, at most, at which the error that a fit states is looked at: it is smooth."""
+"""Sightings of a half-day, at most, at which the stated error of a fit is evaluated: it is smooth."""
 _SHORTEST_HALF_S = 9000.0
 """From the first to the last sighting of a half-day that is judged: twice as long as cloud draws them aside."""
 _FEWEST_FOR_SHARE = 12
@@ -94,7 +94,7 @@ _MEDIAN = 1.2533
 
 
 class _HalfDay(NamedTuple):
-    """How far off a half-day lies, px, in how many of its sigmas, and the day, counted from 1970."""
+    """Deviation of a half-day, px, in how many of its sigmas, and the day, counted from 1970."""
 
     off_px: float
     sigmas: float

@@ -99,7 +99,7 @@ def allowed_clock_s(judged: JudgedFit) -> float:
 
 
 def _columns(calibration: Calibration, seen: Sightings) -> dict[str, FloatArray]:
-    """Return displacements (n, 2, k) per second of the clock, and per turn or shift of what the sky turns in one."""
+    """Return displacements (n, 2, k) per second of the clock, and per turn or shift of the sky's turn in one."""
     by_sky, outwards = np.zeros((len(seen), 2, 3)), np.zeros((len(seen), 2, 1))
     epoch = np.minimum(seen.epoch, len(calibration.poses) - 1)
     for number, pose in enumerate(calibration.poses):

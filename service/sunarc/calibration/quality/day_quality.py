@@ -1,4 +1,4 @@
-"""What kind of day it was: how many of its slots show the sun on a smooth arc (Eq. 20), and what that says of all."""
+"""Kind of a day: how many of its slots show the sun on a smooth arc (Eq. 20), and the decision by that."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ DOUBTFUL_CLOCK_SHARE = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DayMeasure:
-    """What a day's sightings show.
+    """Measures of a day's sightings.
 
     Attributes
     ----------
@@ -136,7 +136,7 @@ class DayMeasure:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DayVerdict:
-    """What kind of day it was, and why."""
+    """Kind of a day, and its reasons."""
 
     kind: DayKind
     findings: tuple[Finding, ...]
@@ -151,7 +151,7 @@ def measure_day(
     cadence_s: float = 30.0,
     doubtful_clock: float | None = None,
 ) -> DayMeasure:
-    """Return what one day's sightings show; each pose epoch of the day has an arc of its own.
+    """Return the measures of one day's sightings; each pose epoch of the day has an arc of its own.
 
     Parameters
     ----------
@@ -209,7 +209,7 @@ def _about_arcs(usable: Sightings, site: Site) -> tuple[FloatArray, FloatArray]:
 
 
 def decide_day(measure: DayMeasure) -> DayVerdict:
-    """Return what kind of day it was, with its findings."""
+    """Return the kind of a day, with its findings."""
     unusable = _unusable(measure)
     if unusable is not None:
         return DayVerdict(kind="unusable", findings=(unusable,))

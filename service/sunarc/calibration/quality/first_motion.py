@@ -1,4 +1,4 @@
-"""Whether the first sightings of the sun go as the sun does over the stated site, before anything else is known.
+"""Motion of the first sightings against the sun's over the stated site, before anything else is known.
 
 The speed on the sensor gives the scale of any lens, since the sun turns by 15 degrees of hour angle an hour wherever
 the camera stands. With it the way of the sun relative to the image's centre, outwards or inwards and round it, is
@@ -28,9 +28,9 @@ _LEAST_WAY = 8.0
 _BELOW_DEG = 91.0
 """Zenith angle from which on no refraction shows the sun."""
 _TILT_DEG, _CENTRE_SHARE = 15.0, 0.05
-"""What a camera is tilted by, and its principal point is off the image's centre by (of the longer side), at most."""
+"""Largest tilt of a camera, and distance of its principal point from the image's centre (of the longer side)."""
 _LENS_DEG = 25.0
-"""By which the direction of the motion is off at most where the camera's tilt turns what the lens does to it."""
+"""By which the direction of the motion is off at most where the camera's tilt turns the lens's effect on it."""
 _NEAR_ZENITH = 0.9
 """Sine of the doubt about which way is outwards, from which on it says nothing."""
 _ELEVATION_DEG = 50.0
@@ -42,7 +42,7 @@ _PROJECTIONS = np.linspace(0.0, 1.0, 5)
 def site_contradiction(
     unix_s: FloatArray, pixels: FloatArray, *, site: Site, image_size: tuple[int, int], mirrored: Mirrored
 ) -> Finding | None:
-    """Return what of the first sightings the stated site, clock and handedness do not allow; None where they do.
+    """Return the contradiction of the first sightings to the stated site, clock and handedness; None without one.
 
     Parameters
     ----------

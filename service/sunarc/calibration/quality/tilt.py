@@ -31,7 +31,7 @@ _LEVELLED_DEG = 2.0
 _TILTED_ON_PURPOSE = 0.05
 """Share of mounts that were not levelled, with any tilt up to the steepest. Chosen, not measured."""
 _STEEPEST_DEG = 75.0
-"""degrees; a camera tilted by more looks at the horizon. Chosen, not measured."""
+"""degrees; a camera tilted by more sees the ground. Chosen, not measured."""
 _OVER_STEEPEST = 0.01
 """Density of tilts beyond the steepest as a share of that below: rare, not excluded. Chosen, not measured."""
 _LARGEST_ZONE_H = 14

@@ -52,7 +52,7 @@ def with_larger_errors(calibration: Calibration, factor: float) -> Calibration:
 
 
 def fit_direction_sigma_rms_deg(calibration: Calibration) -> float:
-    """Return the stated 1-sigma over the sky without what is allowed for the spread of daily poses, degrees."""
+    """Return the stated 1-sigma over the sky without the allowance for the spread of daily poses, degrees."""
     spread = calibration.evidence.pose_spread_deg
     return calibration.sky_rms_deg if spread is None else _widened(calibration, -1.0, spread).sky_rms_deg
 

@@ -1,4 +1,4 @@
-"""What is known of a lens before the sun is seen: Gaussian priors from tolerances, in whitened coordinates.
+"""Prior of a lens before the sun is seen: Gaussian priors from tolerances, in whitened coordinates.
 
 The lens's 17 parameters are β = mean + basis z, with z of independent unit variance but for the residual radial
 distortion and the decentering, whose scales are found in the data. The residual radial distortion is a Gaussian process
@@ -30,7 +30,7 @@ from sunarc.optics.camera import (
 from sunarc.optics.projections import Projection, ideal_radius
 
 FREE = np.delete(np.array(Param), TRANSLATION)
-"""What the robust method estimates of one camera: everything but the translation, the pose at `POSE` as among all."""
+"""Unknowns of the robust method of one camera: everything but the translation, the pose at `POSE` as among all."""
 FREE_NAMES = tuple(PARAMETER_NAMES[i] for i in FREE)
 LENS = np.delete(FREE, POSE)
 """Where the lens's parameters stand among all."""
@@ -53,7 +53,7 @@ class Whitened(IntEnum):
 
 
 STRETCH = [Whitened.ASPECT, Whitened.SKEW]
-"""Where z holds what pixels that are not square do."""
+"""Where z holds the effect of pixels that are not square."""
 RADIAL = slice(Whitened.RADIAL, Whitened.P1)
 """Where z holds the residual radial distortion."""
 DECENTERING = slice(Whitened.P1, Whitened.P3)
@@ -127,7 +127,7 @@ def lens_prior(
     camera : the camera that the fit starts from: its focal length is the scale of all.
     tolerances : how far the lens may be from the ideal.
     circle : the image circle, where there is one.
-    field_angle : radians off the axis that the residual radial distortion is looked at up to.
+    field_angle : radians off the axis up to which the residual radial distortion is evaluated.
     """
     focal = 0.5 * (camera.focal_length_px[0] + camera.focal_length_px[1])
     edge = float(ideal_radius(camera.projection, min(field_angle, _RIGHT_ANGLE)))
@@ -164,7 +164,7 @@ def radial_basis(camera: Camera, *, length: float, upto: float) -> FloatArray:
     ----------
     camera : gives the projection and the focal length.
     length : radians over which the distortion changes.
-    upto : radians, the largest angle looked at.
+    upto : radians, the largest angle of the basis.
     """
     focal = 0.5 * (camera.focal_length_px[0] + camera.focal_length_px[1])
     to_coefficients, kernel, share = _radial_process(camera.projection, length, upto)

@@ -1,4 +1,4 @@
-"""The unknowns of a fit and what they predict: one lens, a pose for every epoch; sightings in bins of time."""
+"""The unknowns of a fit and their prediction: one lens, a pose for every epoch; sightings in bins of time."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Block(NamedTuple):
 
     @property
     def size(self) -> int:
-        """How many unknowns."""
+        """Number of unknowns."""
         return int(self.columns.stop - self.columns.start)
 
 
@@ -101,7 +101,7 @@ class FitProblem:
         return sum(block.size for block in self.blocks)
 
     def block_slice(self, name: str) -> slice:
-        """Return where the unknowns hold a block; an empty slice where there is none of this name."""
+        """Return the place of a block in the unknowns; an empty slice without one of this name."""
         start = N_LENS + 3 * self.n_epochs
         for block in self.blocks:
             if block.name == name:
@@ -151,7 +151,7 @@ class FitProblem:
         return np.where(residual == UNSEEN_PX, residual, residual - self.displaced(unknowns, observed))
 
     def displaced(self, unknowns: FloatArray, observed: Sightings) -> FloatArray | float:
-        """Return by how much systematic errors displace the detections, (n, 2) px; 0 where there are none."""
+        """Return the displacement of the detections by systematic errors, (n, 2) px; 0 without any."""
         if not self.blocks:
             return 0.0
         columns, sizes = self._columns(observed), unknowns[N_LENS + 3 * self.n_epochs :]

@@ -34,7 +34,7 @@ _FOCAL_STEPS = (-0.5, 0.5)
 _SETTLING = 3
 _SAME_SIGMAS = 0.01
 """Starts that image no sighting further apart, in sigmas of the inliers, are one. With 0.3 such went lost as differ in
-the decentering alone: a part of a day's arc hardly shows it, and the sky beside the arc does."""
+the decentering alone: a part of a day's arc hardly shows it, and the sky at its sides does."""
 _NEAR = 1e-3
 """Share of the cost that a step of plain least squares must gain: its answers are where robust fits begin."""
 _SETTLED = 1e-5
@@ -43,7 +43,7 @@ _CENTRAL_SHARE = 0.5
 _LOOSENED = 1e-4
 """Prior precisions of plain least squares: the paper's method has no prior."""
 _FIXED = 1e8
-"""Prior precision of what a stage leaves out: 1e-4 of the prior's sigma."""
+"""Prior precision of the parameters that a stage leaves out: 1e-4 of the prior's sigma."""
 
 
 def best_start(problem: FitProblem, observed: Sightings, start: FloatArray, *, precision: FloatArray) -> FloatArray:
@@ -88,7 +88,7 @@ def staged_least_squares(
     """Return the unknowns (p,) of `least_squares` in the paper's three stages (section 4.2), from an ideal lens.
 
     First without distortion, then with the radial polynomial, then with decentering too: all at once, a distorted lens
-    beside a wrong tilt is a local minimum on a tilted camera's short arc.
+    at a wrong tilt is a local minimum on a tilted camera's short arc.
     """
     unknowns = undistorted(start)
     for held in ([RADIAL, DECENTERING], [DECENTERING], []):

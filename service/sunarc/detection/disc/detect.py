@@ -93,7 +93,7 @@ def _belongs(x: float, y: float, spots: list[Spot]) -> bool:
 
 
 def measure_spot(image: Image, *, x: int, y: int, reach: int) -> Spot:
-    """Measure the spot at a pixel by what exceeds half its level, the window moved onto it once."""
+    """Measure the spot at a pixel by the pixels above half its level, the window moved onto it once."""
     # A spot at the window's edge is cut: its centroid is pulled inward, so that the window is moved once.
     for last in (False, True):
         x0, y0 = max(0, min(x - reach, image.shape[1] - 2)), max(0, min(y - reach, image.shape[0] - 2))
@@ -116,7 +116,7 @@ def moments(mean: FloatArray, *, x0: float, y0: float) -> Spot:
 
 
 def _moments_above(mean: FloatArray, cut: float) -> tuple[float, float, float, float, float]:
-    """Return the centre of what exceeds a level, weighted by it, and about that the unweighted second moments."""
+    """Return the centre of the pixels above a level, weighted by it, and about that the unweighted second moments."""
     j, i = np.nonzero(mean > cut)
     if not i.size:
         return mean.shape[1] // 2, mean.shape[0] // 2, 0.0, 0.0, 0.0
@@ -246,7 +246,7 @@ def _clear_level(expectation: Expectation | None, options: DiscOptions, exposure
 
 
 def _reject_faint(found: Detection, clear: float | None) -> Detection:
-    """Return what was found, rejected where it is far too faint at this exposure."""
+    """Return the detection, rejected where it is far too faint at this exposure."""
     if clear is None or not found.accepted or (found.peak_fraction or 0.0) >= FAINTEST_SHARE * clear:
         return found
     faint = Finding("disc_below_clear_sun", {"share": (found.peak_fraction or 0.0) / clear})
@@ -254,7 +254,7 @@ def _reject_faint(found: Detection, clear: float | None) -> Detection:
 
 
 def _reject_unpredicted_faint(found: Detection, exposure_us: float) -> Detection:
-    """Return what was found, rejected where no camera without a dense filter would see the sun so faint."""
+    """Return the detection, rejected where no camera without a dense filter would see the sun so faint."""
     if not found.accepted or (found.peak_fraction or 0.0) >= FAINTEST_LEVEL_PER_US * exposure_us:
         return found
     level = (found.peak_fraction or 0.0) / max(exposure_us, 1e-9)
@@ -466,7 +466,7 @@ _SIGNIFICANT_CLASSIFY = 16.0  # chi² of four parameters
 
 
 def verdict_of(fit: DiscFit, *, expectation: Expectation | None, sensor: Sensor) -> tuple[Verdict, bool, Finding]:
-    """Return the verdict, whether the position can be accepted, and what decided."""
+    """Return the verdict, whether the position can be accepted, and the deciding finding."""
     for check in (_no_disc, _misplaced, _covered, _uncertain):
         found = check(fit, expectation, sensor)
         if found is not None:

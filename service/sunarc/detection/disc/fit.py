@@ -271,7 +271,7 @@ def _solve(
 
 
 def _outliers(evaluation: model.Evaluation) -> BoolArray:
-    """Return the few pixels that no disc explains (hot or dead ones); none where they are many."""
+    """Return the few pixels that no disc explains (hot or dead ones); empty where they are many."""
     deviation = np.abs(evaluation.residual) * np.sqrt(evaluation.weight)
     if float(deviation.max()) <= _OUTLIER:
         return np.zeros(deviation.size, np.bool_)

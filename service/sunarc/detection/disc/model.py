@@ -140,7 +140,7 @@ _UNEVEN = (SLOPE_U, SLOPE_V, BEND_UU, BEND_UV)
 
 
 class Prior(NamedTuple):
-    """What is known before: ln psf and its 1-sigma, that of the wings' share; whether wings and stretch are free."""
+    """Prior of the disc: ln psf and its 1-sigma, that of the wings' share; whether wings and stretch are free."""
 
     log_psf: float
     log_psf_sigma: float
@@ -184,7 +184,7 @@ class Evaluation(NamedTuple):
 
 
 class DiscProblem(NamedTuple):
-    """What is fitted; `origin` is where the background's slope is pivoted, px in the window."""
+    """Inputs of the disc's fit; `origin` is where the background's slope is pivoted, px in the window."""
 
     window: Window
     pixels: UsedPixels
@@ -228,7 +228,7 @@ def with_levels(problem: DiscProblem, nonlinear: FloatArray) -> tuple[DiscState,
 
 
 def inverse(matrix: FloatArray) -> FloatArray:
-    """Return the inverse of a normal matrix; what the data do not tell becomes a large finite variance."""
+    """Return the inverse of a normal matrix; an undetermined direction gets a large finite variance."""
     scale = np.sqrt(np.maximum(matrix.diagonal(), 1e-12))
     both = scale[:, None] * scale
     scaled = matrix / both

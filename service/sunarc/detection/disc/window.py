@@ -64,7 +64,7 @@ def saturated_level(sensor: Sensor, saturation_fraction: float) -> float:
 def saturated_pixels(part: Image, *, sensor: Sensor, saturation_fraction: float) -> BoolArray:
     """Return which pixels of a window are, or may be means over, clipped ones.
 
-    The mean of n² pixels of which one is clipped may be as low as full scale over n². Such a mean is only found beside
+    The mean of n² pixels of which one is clipped may be as low as full scale over n². Such a mean is only found next to
     brighter ones: all of a connected region above that level counts where its maximum reaches `saturated_level`.
     """
     bright = np.asarray(part >= saturated_level(sensor, saturation_fraction))
@@ -127,7 +127,7 @@ def _rows_beyond(height: int, parity: int, y0: int, y1: int) -> NDArray[np.intp]
 
 
 def excess_of_columns(beyond: Image) -> FloatArray:
-    """Return what each column of some rows has in excess; zeros where it is noise."""
+    """Return the excess of each column of some rows; zeros where it is noise."""
     nothing = np.zeros(beyond.shape[1])
     if beyond.shape[0] < _FEWEST_ROWS or beyond.shape[1] == 0:
         return nothing

@@ -126,7 +126,7 @@ def _range(middle: float, half: float, size: int, step: int) -> tuple[int, int]:
 def _enlarged(
     static: BoolArray | None, whole: tuple[int, int], window: tuple[int, int, int, int] | None = None
 ) -> BoolArray | None:
-    """Return the mask of what stands still in the size of a plane, or of a window of it (top, bottom, left, right)."""
+    """Return the mask of the static parts in the size of a plane, or of a window of it (top, bottom, left, right)."""
     if static is None:
         return None
     if static.shape != whole:
@@ -145,7 +145,7 @@ OFF_GLARE = 0.009
 it without cloud and 0.014 with; half of the patches of cloud were beyond 0.02."""
 
 _LEAST_NEAR = 0.3
-"""Light at 1.7 radii of the inscribed circle over the plateau's, below which it is text, a box or a roof: beside suns
+"""Light at 1.7 radii of the inscribed circle over the plateau's, below which it is text, a box or a roof: next to suns
 in a short exposure it was 0.37 and more."""
 _MAX_RADIUS_FRACTION = 0.12
 """A plateau wider than this share of the image's smaller side is no sun; thin cloud before it gave 0.09 at most."""
@@ -154,7 +154,7 @@ _GLARE_PX, _GLARE_BLUR_PX = 240, 4.0
 _AS_LIGHT, _AWAY = 0.9, 2.6
 """Of the plateau's level (in tones), and radii beyond which so much light is another's: in glare it is below 0.84."""
 _LINEAR_TONES = 1.0 / 2.2
-"""Images of more than 8 bits are taken for linear: their light beside the sun is compared by the tones of 8 bits."""
+"""Images of more than 8 bits are taken for linear: their light around the sun is compared by the tones of 8 bits."""
 _EIGHT_BITS = 255
 _MIN_SIGMA_PX = 0.2
 _MIN_SIGMA_RADIUS = 0.015
@@ -176,7 +176,7 @@ _EDGED_RADIUS, _EDGED_UNEVEN = 0.04, 0.9
 """Sigma of a rim with an edge over the radius, and over that times the squared unevenness: cloud before a sun in a
 short exposure is a gap in the rim (docs/studies.md, "A day of clouds")."""
 _LIT, _LIT_SHARE = 0.06, 0.25
-"""Of the plateau, and of the image: what is darker is the rim of the field; where little is lighter it is night."""
+"""Of the plateau, and of the image: darker is the rim of the field; where little is lighter it is night."""
 
 
 class Candidate(NamedTuple):
@@ -200,7 +200,7 @@ class Candidate(NamedTuple):
 
     @property
     def score(self) -> float:
-        """How sun-like it is: large, clipped, round, standing out, in the middle of the glare."""
+        """Score of a sun: large, clipped, round, standing out, in the middle of the glare."""
         rim, radius = self.rim, self.rim.radius
         uneven = (rim.scatter / (0.1 * radius)) ** 2 + (rim.spread / (0.2 * radius)) ** 2
         off = self.off_glare_px / (3.0 * OFF_GLARE * self.size_px)

@@ -37,7 +37,7 @@ sun with an edge (short exposure) differs from a roof and from a lamp at night b
 0.12 and more, 0.09 and less (docs/studies.md, "A day of clouds"), lamps 0.30 and 0.13 and less. With none that part
 was 0.07 and less about 40 suns, 0.15 and more about hills of cloud."""
 _LEAST_IN_DARK = 0.01
-"""Of the smaller side, with a prediction: what has an edge and a smaller radius in a dark sky is a lamp."""
+"""Of the smaller side, with a prediction: a smaller radius with an edge in a dark sky is a lamp's."""
 _MIN_FLAT, _MIN_FLAT_PREDICTED = 0.6, 0.2
 """Share of the plateau that is level: nine of ten real suns had 0.82 and more, nine of ten patches of cloud 0.54 and
 less. A small sun in haze, which a prediction names, has 0.25."""
@@ -52,12 +52,12 @@ _MAX_ELLIPTICITY = 0.35
 """1 - minor/major axis of a plateau without an edge, without a prediction: suns of five real series had 0.31 and less
 (with an edge, in short exposures, 0.47), a contrail had 0.39."""
 _OTHER_PLATEAUS, _OTHER_AREA = 2.0, 0.001
-"""Plateau areas, and of the square of the smaller side, for what else is as light, without a prediction: real suns had
+"""Plateau areas, and of the square of the smaller side, for other parts as light, without a prediction: real suns had
 1.8 plateaus and less, text has up to 0.001; overcast is as light in many places."""
 
 
 class Judged(NamedTuple):
-    """A candidate with its verdict and what decided."""
+    """A candidate with its verdict and the deciding finding."""
 
     seen: candidates.Candidate
     verdict: Verdict
@@ -110,7 +110,7 @@ def edge(seen: candidates.Candidate, *, has_aureole: bool) -> tuple[Verdict, Fin
 
 
 def lies_in_aureole(seen: candidates.Candidate) -> bool:
-    """Return whether what is about a round region is the sun's aureole: lighter than the sky, and nothing else is."""
+    """Return whether the light about a round region is the sun's aureole: lighter than the sky, and nothing else is."""
     far = seen.rim.far
     is_lightest = far >= max(_AUREOLE * seen.sky, _AUREOLE_FAR) and seen.lighter <= _AUREOLE_LIGHTER
     return is_lightest and seen.rim.near >= far and seen.sky >= _DAY
@@ -170,7 +170,7 @@ class Photo(NamedTuple):
     image : (rows, columns) or (rows, columns, 3) uint8 or uint16; the colours' order does not matter. full_scale : its
     largest count. exposure_us : None where not known. static : pixels that stand still in the camera's images
     (`static_mask`), (rows, columns) or reduced; they do not take part. bayer : colours of a raw mosaic; None where the
-    image is none.
+    image has no sun.
     """
 
     image: Image
@@ -239,16 +239,16 @@ _Place = TypeVar("_Place", Detection, Expectation)
 
 
 def moved(place: _Place, columns: int, rows: int) -> _Place:
-    """Return what has a place, moved by columns and rows."""
+    """Return a place moved by columns and rows."""
     if place.x_px is None or place.y_px is None or not (columns or rows):
         return place
     return replace(place, x_px=place.x_px + columns, y_px=place.y_px + rows)
 
 
 def _near(photo: Photo, expectation: Expectation, *, elsewhere: bool) -> Detection | None:
-    """Return what is at a predicted place; None where nothing is, and the rest of the image has to be searched.
+    """Return the candidate at a predicted place; None without one, and the rest of the image has to be searched.
 
-    Light is looked at in a window about the place; in the whole image where a plateau is too wide for the window.
+    Light is searched in a window about the place; in the whole image where a plateau is too wide for the window.
     """
     image, full_scale, exposure_us, static, bayer = photo
     step = candidates.window_step(image, bayer)

@@ -62,7 +62,7 @@ def thickest(mask: Mask, *, most: int, least_radius: float) -> list[tuple[float,
 
 
 def opened(mask: Mask, diameter: int) -> Mask:
-    """Return the mask without what is thinner than a disc of this diameter."""
+    """Return the mask without the parts thinner than a disc of this diameter."""
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (max(diameter, 1), max(diameter, 1)))
     return np.asarray(cv2.morphologyEx(mask, cv2.MORPH_OPEN, kernel), dtype=np.uint8)
 
@@ -75,7 +75,7 @@ _SEARCHED_PX = 960
 _LEVEL = 0.97
 """Of the plateau: JPEG's ringing and the sensor's unevenness stay above it (real images: 247 of 255 at the lowest)."""
 _LOWEST = 0.5
-"""Of the highest plateau: a lower one is no sun beside it."""
+"""Of the highest plateau: a lower one is no sun."""
 _LEVELS, _IN_A_LEVEL, _TRIED = 3, 4, 48
 _LEAST_RADIUS_PX = 1.4  # in the reduced image: the 3 × 3 pixels of the erosion
 _HOLE = 0.3  # of the region's area: a black-sun artefact or a painted mark, not the clear sky within a ring of cloud
@@ -143,7 +143,7 @@ def plateaus(
     ----------
     plane : (rows, columns), the faintest colour.
     least_level : counts below which nothing is looked for.
-    least_near : light beside a circle over its level, below which it is left out (text, boxes, snow on a roof).
+    least_near : light around a circle over its level, below which it is left out (text, boxes, snow on a roof).
     static : (rows, columns), pixels that do not take part.
     size : smaller side of the image that the plane is a part of; None for all of it.
     near : only plateaus are returned in whose circle, or out of it by `reach` at most, a predicted place is; their
@@ -194,7 +194,7 @@ def _within(circles: list[Plateau], near: Near | None, step: int) -> list[Platea
 
 
 def _in_their_light(small: Plane, circles: list[Plateau], least: float, step: int) -> list[Plateau]:
-    """Return the circles with light beside them in px of the image, the largest with light all around first."""
+    """Return the circles with light around them in px of the image, the largest with light all around first."""
     lit = []
     for circle in circles:
         light = _light_near(small, circle)
@@ -253,7 +253,7 @@ _SAMPLED = 120
 _LIT = (0.06, 0.03)
 """From the darkest to the brightest place: an image circle's edge is sharp, a lamp's glare is not."""
 _LIGHT_SIDE = 0.2
-"""Of the brightest place in the middle: more is sky, and not what surrounds an image circle."""
+"""Of the brightest place in the middle: more is sky, and not the surroundings of an image circle."""
 _SURROUND = 0.02
 """Share of the image that is beyond a small image circle at least."""
 _AS_SHARP, _AS_ROUND, _FULL = 1.2, 0.1, 0.6
@@ -307,7 +307,7 @@ def _reaches_border(image: Image, step: int) -> bool:
 
 
 def _largest(mask: Mask) -> tuple[int, int, int, int, int]:
-    """Return left, top, width, height and area of the largest connected region of a mask; 0 where there is none."""
+    """Return left, top, width, height and area of the largest connected region of a mask; 0 without one."""
     found = cv2.connectedComponentsWithStats(mask, connectivity=8)[2][1:]
     return tuple(found[int(np.argmax(found[:, -1]))].tolist()) if len(found) else (0, 0, 0, 0, 0)
 

@@ -1,6 +1,6 @@
 """The rim of a plateau: where the light first falls for good in every direction, and the circle through it.
 
-What lies outside the circle (a cloud beside the sun, a streak, glare on the dome) is more often wrong than what lies
+Light outside the circle (a cloud next to the sun, a streak, glare on the dome) is more often wrong than that
 inside, so it is weighted harder. Circles at three levels each give a centre; their medians are the answer, and how far
 they are apart is a part of its uncertainty.
 """

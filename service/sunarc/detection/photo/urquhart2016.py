@@ -130,7 +130,7 @@ _SPARE_PX = 8
 
 
 class Estimates(NamedTuple):
-    """What the single estimators say.
+    """Estimates of the single estimators.
 
     columns, rows : their x and y, px: disc, Gaussian and flattened kernel, Förstner, and (x only) the smear where it
     stands out. diameter : of the sun's blob, px. sigma : of the kernels, px.

@@ -18,7 +18,7 @@ from sunarc.detection.values import Bayer, Stars, require_photo
 Plane = NDArray[np.float32]
 
 _TILE_PX = 32
-"""Large beside a star (a dozen px), small beside the gradients of glow and of the Milky Way (hundreds)."""
+"""Large against a star (a dozen px), small against the gradients of glow and of the Milky Way (hundreds)."""
 
 
 class Background(NamedTuple):
@@ -84,7 +84,7 @@ _COLOURS = {
 
 
 def plane_of(image: Image, full_scale: int, bayer: Bayer | None) -> tuple[Plane, BoolArray]:
-    """Return the light of an image, counts, and where it is clipped in any colour, or beside such a pixel."""
+    """Return the light of an image, counts, and where it is clipped in any colour, or next to such a pixel."""
     colours = cv2.cvtColor(image, _COLOURS[bayer]) if bayer is not None and image.ndim == 2 else image
     top = colours.max(axis=-1) if colours.ndim == 3 else colours
     clipped = cv2.dilate((top >= _CLIPPED * full_scale).astype(np.uint8), np.ones((3, 3), dtype=np.uint8)) > 0
@@ -303,7 +303,7 @@ def _is_shape(parameters: FloatArray) -> BoolArray:
 # Stars that are clipped so widely that no point spread can be fitted: where they are, roughly.
 
 _FEWEST_PX = 14
-"""Of the clipped pixels and those beside them: a smaller core leaves enough of a star's wings for a fit."""
+"""Of the clipped pixels and their neighbours: a smaller core leaves enough of a star's wings for a fit."""
 _LARGEST_PX, _LONGEST = 900, 2.0
 """Of a star; and its longer side over its shorter one. Larger or longer: the moon, a lamp, an aircraft, a roof."""
 
@@ -323,7 +323,7 @@ def clipped_cores(light: Plane, clipped: BoolArray, *, usable: BoolArray) -> Cli
     Parameters
     ----------
     light : (rows, columns) counts above the background.
-    clipped, usable : (rows, columns) clipped pixels and those beside them; where stars are looked for.
+    clipped, usable : (rows, columns) clipped pixels and their neighbours; where stars are looked for.
     """
     count, label, box, centre = cv2.connectedComponentsWithStats((clipped & usable).astype(np.uint8), connectivity=8)
     area = box[:, cv2.CC_STAT_AREA].astype(np.float64)
@@ -400,7 +400,7 @@ def detect_stars(
 
 
 def _with_cores(stars: Stars, cores: ClippedCores, width: float) -> Stars:
-    """Return stars without what was found about clipped cores, and with these where they are like stars."""
+    """Return stars without the detections about clipped cores, and with these where they are like stars."""
     if cores.radius.size == 0:
         return stars
     reach = cores.radius + 3.0 * width
@@ -502,7 +502,7 @@ def start_at(stamps: Stamps, places: FloatArray, shape: FloatArray) -> FloatArra
 def shapes_of_bright(
     plane: Plane, ground: Background, clipped: BoolArray, places: FloatArray, gain_e: float | None
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Return places (k, 2) and covariances (k, 3) px² of the point spread of bright stars; None where there is none."""
+    """Return places (k, 2) and covariances (k, 3) px² of the point spread of bright stars; None without any."""
     if places.shape[0] == 0:
         return None
     width, wanted = FIRST_WIDTH_PX, places[: 4 * _SHAPES]

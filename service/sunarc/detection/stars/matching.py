@@ -25,14 +25,14 @@ _WIDEST_GAP_DEG = 210.0
 """Between the azimuths of matched stars: half a sky is enough to tell a wrong camera, a third is not."""
 _SIGMAS = 3.0
 _SEEING_PX = 0.3
-"""1-sigma of a star's centre on real lenses, beside the prediction's."""
+"""1-sigma of a star's centre on real lenses, in addition to the prediction's."""
 _ALONE_WIDTHS, _FAINTER = 4.0, 1.5
 """A star is alone where none brighter than 1.5 magnitudes below it is as near as the search, or 4 widths."""
 _MAGNITUDE_CUT = (0.5, 1.0)
 """Least and largest difference of brightness that ends a match; magnitudes."""
 _LEAST_CORRELATION = 0.4
 _LEAST_SCATTER_PX, _MOST_SCATTER_PX, _CLIPPED_PX = 0.15, 0.8, 1.0
-"""Scatter of star centres on real lenses (0.16 to 0.4 px were found), and by how much a clipped one's errs beside it. A
+"""Scatter of star centres on real lenses (0.16 to 0.4 px were found), and the additional error of a clipped one. A
 clock that is 10 minutes off, followed by a search of 24 px, left 1.0 to 1.6 px: no smooth correction unites that."""
 _CHANCE_SCATTER = 0.35
 """Scatter over the search's radius, per axis: chance has 0.5 and more."""
@@ -50,7 +50,7 @@ class StarMatches:
     explained : share of the bright detections that are predicted stars.
     found : share of the predicted bright stars that are detected, over the clear part of the sky.
     scatter_px : of the matches about a smooth correction of the prediction, per axis.
-    floor_px : 1-sigma that the centres have beside what is stated of each, by their scatter (`noise_floor`).
+    floor_px : 1-sigma of the centres in addition to the stated one of each, by their scatter (`noise_floor`).
     """
 
     accepted: bool
@@ -80,7 +80,7 @@ def match_stars(
     chance would match at most 15 %. These count where 60 % of the bright detections are predicted stars and
     60 % of the predicted ones are detected over the clear part of the sky (`clear_sky`), where they lie around
     it, their brightness is that of the catalogue, and a smooth correction of the prediction unites them. Then all
-    stars, about the corrected prediction. A star with another beside it is not used.
+    stars, about the corrected prediction. A star with another next to it is not used.
 
     Parameters
     ----------
@@ -185,7 +185,7 @@ def noise_floor(places: FloatArray, difference: FloatArray, sigma_px: FloatArray
 
 
 def _considered(n_bright: int) -> int:
-    """Return how many of the brightest detections are considered beside so many predicted stars."""
+    """Return how many of the brightest detections are considered for so many predicted stars."""
     return 2 * n_bright + 20
 
 
@@ -304,7 +304,7 @@ def _spread(predicted: PredictedStars, pairs: _Pairs) -> list[Finding]:
 def _coherent(
     stars: Stars, predicted: PredictedStars, pairs: _Pairs, scatter: float, radius: FloatArray
 ) -> list[Finding]:
-    """Return what shows that the pairs are made by chance: brightness without relation, differences without order."""
+    """Return the signs that the pairs are made by chance: brightness without relation, differences without order."""
     correlation = float(np.corrcoef(_instrumental(stars)[pairs.detection], predicted.magnitude[pairs.star])[0, 1])
     usual = float(np.median(radius[pairs.star]))
     if correlation < _LEAST_CORRELATION:

@@ -45,7 +45,7 @@ class StarLight:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Extinction:
-    """What the air takes, by the stars of several images.
+    """Extinction of the air, by the stars of several images.
 
     Attributes
     ----------
@@ -129,7 +129,7 @@ def _by_band(lost: FloatArray, zenith_deg: FloatArray, bands_deg: Sequence[float
 ZENITH_BANDS_DEG = (0.0, 30.0, 50.0, 65.0, 78.0)
 """Limits of zenith angle: to 1.15, 1.55, 2.35 and 4.7 air masses; below 78 degrees are haze and trees."""
 _SIGMAS, _SEEING_PX = 3.0, 0.5
-"""How near to its predicted place a star's detection lies: 1-sigma of the centres beside the prediction's, px."""
+"""Distance of a star from its predicted place: 1-sigma of the centres in addition to the prediction's, px."""
 _STEP_V, _ROLL_OFF_V = 0.05, 0.25
 """Of the magnitudes tried, and how soft the end is: from 0.88 to 0.12 of the stars within a magnitude."""
 _BRIGHTEST_V = 1.0
@@ -201,7 +201,7 @@ _PARTS = 3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NightLimits:
-    """What the numbers of a night must reach to be suspected.
+    """Limits of the numbers of a night, beyond which it is suspected.
 
     Attributes
     ----------
@@ -219,13 +219,13 @@ class NightLimits:
     nights: int = 2
 
     def __post_init__(self) -> None:
-        """Refuse what is no limit."""
+        """Refuse invalid limits."""
         require_bounds(self, section_path="night")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NightTrend:
-    """How a night ended against how it began; NaN where less than 6 of its images have the number.
+    """End of a night against its beginning; NaN where less than 6 of its images have the number.
 
     Attributes
     ----------

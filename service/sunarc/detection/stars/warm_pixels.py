@@ -15,7 +15,7 @@ from sunarc.detection.values import Bayer, Stars
 
 
 class SensorFormat(NamedTuple):
-    """What a list of pixels is of: rows and columns of the image, pixel format, binning, serial number."""
+    """Format of a list of pixels: rows and columns of the image, pixel format, binning, serial number."""
 
     rows: int
     columns: int
