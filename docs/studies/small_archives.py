@@ -57,7 +57,11 @@ def moved(rng: np.random.Generator, lens: Lens, degrees: float) -> Lens:
 
 def _when(rng: np.random.Generator, noon: float, days: float) -> float:
     """Return a time within the middle of an archive, between 8 and 16 o'clock."""
-    return noon + DAY_S * int(rng.integers(days // 3, 2 * days // 3 + 1)) + HOUR_S * float(rng.uniform(-4.0, 4.0))
+    return (
+        noon
+        + DAY_S * int(rng.integers(int(days) // 3, 2 * int(days) // 3 + 1))
+        + HOUR_S * float(rng.uniform(-4.0, 4.0))
+    )
 
 
 def _lean(rng: np.random.Generator, lens: Lens, noon: float, days: float, degrees: float = 1.0) -> list[Spell]:
@@ -101,7 +105,7 @@ def _short(rng: np.random.Generator, lens: Lens, noon: float, _days: float) -> l
 
 
 def _summer(rng: np.random.Generator, lens: Lens, noon: float, days: float) -> list[Spell]:
-    at = noon - 0.3 * DAY_S + DAY_S * int(rng.integers(days // 3, 2 * days // 3))
+    at = noon - 0.3 * DAY_S + DAY_S * int(rng.integers(int(days) // 3, 2 * int(days) // 3))
     leaning = _lean(rng, lens, noon, days)
     late = [one._replace(ahead_s=HOUR_S) for one in leaning if one.since >= at]
     early = [one for one in leaning if one.since < at]

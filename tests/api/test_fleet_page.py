@@ -70,7 +70,7 @@ def test_an_alarm_of_a_cross_check_is_in_the_headline_the_table_and_its_own_rows
     assert "2 of 3" in page.page.inner_text("#verdict")  # the third is not calibrated: that is a start
     shown = [(row[0], row[9]) for row in cells(page.page, "cameras")]
     assert shown == [("roof", "! clock, clock by clouds"), ("mast", "✓ nothing"), ("gate", "· slow turn")]
-    assert page.page.locator("#map .attention").count() == 1
+    assert page.page.locator("#map .attention").count() == 2
     assert "clock 2.12 ± 0.11 s ahead since 2026-05-09: by 3 neighbours" in cells(page.page, "cameras")[0][2]
     wrong, slow = cells(page.page, "checks")
     assert wrong == [

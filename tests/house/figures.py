@@ -40,11 +40,10 @@ HOUSES = ("imager", "archives", "hub", "lab", "client", "cli")
 RELATIVE_WHAT = re.compile(r"^(?:Whether|How)\b|\bwhat\b", re.IGNORECASE)
 """A first line of a docstring with a relative "what", or one that begins as a question."""
 PHRASES = re.compile(
-    r"\b(?:is|are) none\b|\bsa(?:ys|id|y) of\b|\bspeaks? for\b|\blooks? at\b|\blooked at\b|\bbeside\b|\bgiven up\b|"
-    r"\bnone (?:if|where|of which)\b",
-    re.IGNORECASE,
+    r"\b(?:[Ii]s|[Aa]re) none\b|\bsa(?:ys|id|y) of\b|\bspeaks? for\b|\blooks? at\b|\blooked at\b|\bbeside\b|"
+    r"\bgiven up\b|\bnone (?:if|where|of which)\b"
 )
-"""Phrases of no textbook, in docstrings and in documents by hand."""
+"""Phrases of no textbook, in docstrings and in documents by hand; Python's `None` is a value, not a predicate."""
 GENERATED = {
     "booted.md", "campaign.md", "checks.md", "codes.md", "metrics.md", "names.md", "results.md", "settings.md",
 }  # fmt: skip

@@ -27,6 +27,9 @@ APART = {
     "sunarc.imaging.image_circle": "of the core, which computes; its reader is the command line",
     "sunarc.lab.studies.figures": "imports matplotlib, which is of an extra, when something is drawn",
     "sunarc.lab.studies.reports": "of the studies it alone touches the disk; its reader is the command line",
+    "sunarc.formats.virtualsky": "a format of its own; the table of formats has a row of it",
+    "sunarc.imager.web.routes.obstructions": "the routes of one subject; the application includes them",
+    "sunarc.sources.source_dates": "of the library, which reads names; its reader is the command line",
     "sunarc.calibration.quality.first_motion": "of the core, which computes; its reader is a worker",
 }
 """Fragments that stay, each with its reason."""

@@ -34,7 +34,17 @@ def disc(full_scale: int, *, sky: float = 0.0) -> NDArray[np.uint16]:
 
 @pytest.mark.parametrize(
     ("brightest", "full_scale"),
-    [(0, 1023), (1023, 1023), (1024, 4095), (4095, 4095), (4096, 16383), (16384, 65535), (65535, 65535)],
+    [
+        (0, 255),
+        (255, 255),
+        (256, 1023),
+        (1023, 1023),
+        (1024, 4095),
+        (4095, 4095),
+        (4096, 16383),
+        (16384, 65535),
+        (65535, 65535),
+    ],
 )
 def test_the_full_scale_of_a_16_bit_image_is_the_smallest_usual_one_that_holds_it(
     brightest: int, full_scale: int

@@ -105,10 +105,10 @@ def test_a_pattern_without_a_zone_is_the_offset_ahead_of_utc(tmp_path: Path) -> 
     assert taken(path, "%Y-%m-%d %H.%M", timedelta(hours=-5)) == (NOON, None)
 
 
-@pytest.mark.parametrize(("stem", "offset_h"), [("sky", 0.0), ("0001-01-01", 5.0)])
+@pytest.mark.parametrize(("stem", "offset_h"), [("sky", 0.0), ("0001-01-01_00", 5.0)])
 def test_a_name_that_the_pattern_cannot_date_is_refused(tmp_path: Path, stem: str, offset_h: float) -> None:
     with pytest.raises(InputError) as refused:
-        taken(dark_image(tmp_path / f"{stem}.png"), "%Y-%m-%d", timedelta(hours=offset_h))
+        taken(dark_image(tmp_path / f"{stem}.png"), "%Y-%m-%d_%H", timedelta(hours=offset_h))
     assert refused.value.field == f"{stem}.png"
 
 

@@ -45,7 +45,7 @@ SEEN, UNKNOWN, HIDDEN = 255, 128, 0
 """Values of the mask: the sun was seen here, never passed here on enough clear days, passes here and is never seen."""
 
 
-class Horizon(NamedTuple):
+class SunHorizon(NamedTuple):
     """A mask as a PNG, and how many cells of it the sun was seen in, and how many hide it."""
 
     png: bytes
@@ -53,7 +53,7 @@ class Horizon(NamedTuple):
     hidden: int
 
 
-def learn_horizon(looked: Looked, expected: Sequence[Expectation | None], size: tuple[int, int]) -> Horizon:
+def learn_horizon(looked: Looked, expected: Sequence[Expectation | None], size: tuple[int, int]) -> SunHorizon:
     """Return the horizon that hides the sun in a camera's images.
 
     Parameters
@@ -79,7 +79,7 @@ def learn_horizon(looked: Looked, expected: Sequence[Expectation | None], size: 
             state[row, column] = HIDDEN
     whole = cv2.resize(state, size, interpolation=cv2.INTER_NEAREST)
     png = cv2.imencode(".png", whole)[1].tobytes()
-    return Horizon(png, int(np.count_nonzero(state == SEEN)), int(np.count_nonzero(state == HIDDEN)))
+    return SunHorizon(png, int(np.count_nonzero(state == SEEN)), int(np.count_nonzero(state == HIDDEN)))
 
 
 def _pixel(one: Expectation | None) -> tuple[float, float]:
@@ -117,7 +117,7 @@ class CameraResult:
     looked: Looked
     rough: Rough
     final: Final | None
-    horizon: Horizon | None
+    horizon: SunHorizon | None
     nights: NightsLooked
 
     @property

@@ -22,7 +22,7 @@ from sunarc.archives.ledger import Ledger
 from sunarc.archives.nights import NightsLooked, name_stars, nights_of, star_points
 from sunarc.archives.passes import Looked, Passes, epoch_at, predictions, without_lifted
 from sunarc.archives.report import write_report
-from sunarc.archives.results import CameraResult, Horizon, Summary, learn_horizon, write_results
+from sunarc.archives.results import CameraResult, Summary, SunHorizon, learn_horizon, write_results
 from sunarc.archives.states import ArchiveCamera
 from sunarc.common.errors import InputError, disk_errors
 from sunarc.common.findings import Finding, headline_of
@@ -188,7 +188,7 @@ def _known(camera: CameraImages) -> ArchiveCamera:
     return ArchiveCamera(camera.plan.site, camera.size, camera.plan.options)
 
 
-def _horizon(camera: CameraImages, looked: Looked, final: Final | None) -> Horizon | None:
+def _horizon(camera: CameraImages, looked: Looked, final: Final | None) -> SunHorizon | None:
     if final is None or not final.epochs:
         return None
     return learn_horizon(looked, predictions(camera, final.states, final.epochs), camera.size)

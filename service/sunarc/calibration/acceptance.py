@@ -98,7 +98,7 @@ class Succession:
 
     candidate: Calibration
     current: Calibration | None = None
-    """The one in use, without the clock's error that is stated for all sightings; None where there is none."""
+    """The one in use, without the clock's error that is stated for all sightings; None without one."""
     same_pose: bool = True
     """Whether both are of the same pose epoch; if not, agreement is not asked for."""
     unseen: Sightings | None = None
@@ -151,7 +151,7 @@ def allowed_growth(succession: Succession) -> float:
 
 
 def largest_growth(succession: Succession) -> float:
-    """Return 1.5 times what is allowed."""
+    """Return 1.5 times the allowed error."""
     return 1.5 * allowed_growth(succession)
 
 

@@ -1,4 +1,4 @@
-"""Likelihood of what was observed under an explanation: the one comparison by which a change is decided.
+"""Likelihood of observations under an explanation: the one comparison by which a change is decided.
 
 What is observed (the residuals of sightings, a day's rotations) is normal about what an explanation predicts, its free
 numbers integrated out; single observations may be false. Four searches compare explanations by it: the monitor of each

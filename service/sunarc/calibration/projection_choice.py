@@ -62,7 +62,7 @@ class ProjectionChoice(NamedTuple):
 
     @property
     def compared(self) -> bool:
-        """Whether two projections or more could be fitted."""
+        """True where two projections or more could be fitted."""
         return sum(math.isfinite(value) for value in self.log_evidence.values()) > 1
 
     @property

@@ -47,7 +47,7 @@ class Bound(NamedTuple):
 
 
 class FitCheck(NamedTuple):
-    """Row of the table; its case is what the table is about: `Given`, `JudgedFit` or `Succession`."""
+    """Row of the table; its case is `Given`, `JudgedFit` or `Succession`."""
 
     code: str
     """Code of the finding."""
@@ -215,7 +215,7 @@ def before_fit(usable: Sightings, options: CalibrationOptions) -> tuple[Finding,
 
 
 def below_horizon(usable: Sightings, options: CalibrationOptions) -> tuple[Finding, ...]:
-    """Return the finding of more sightings below the horizon than false detections are; none where they are fewer."""
+    """Return the finding of more sightings below the horizon than false detections are; None where they are fewer."""
     return findings(BELOW_HORIZON, Given(usable=usable, options=options))
 
 
@@ -284,13 +284,13 @@ def _within_image(finding: Finding, *, camera: Camera) -> Finding:
 
 
 def is_undetermined(verdict: Verdict) -> bool:
-    """Return whether a fit is refused for what its sightings do not determine, and for nothing else."""
+    """Return whether a fit is refused for a lack of information, and for nothing else."""
     refused = not verdict.accepted and not verdict.marginal
     return refused and {one.code for one in verdict.findings} <= of.UNDETERMINED
 
 
 def provisional(calibration: Calibration, *, limit_deg: float) -> Calibration:
-    """Return a refused fit as provisional where it is refused for what its sightings do not determine, and that alone.
+    """Return a refused fit as provisional where it is refused for a lack of information, and that alone.
 
     It is then marginal, and answers for directions whose 1-sigma per axis is within a limit. All others are returned
     as they are; a tilt that nobody stated is refused, too: few sightings that contradict each other fit such a camera.
@@ -321,7 +321,7 @@ def accept(
 
     It may where its own verdict allows, where it predicts days left out about as well as it states, where it is not
     less sure of the sky than the current one (or knows more, and finds that one too sure of itself), and where the
-    two agree within what they say of themselves: so the error served does not rise by more than twice what is stated.
+    two agree within their stated errors: so the error served does not rise by more than twice the stated one.
     A larger change needs proof: that the sightings since are met far better. One that says the same again is
     marginal: the current one stays.
 

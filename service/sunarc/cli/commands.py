@@ -28,7 +28,7 @@ LIBRARY = {name: Command(module, attribute, text) for name, module, attribute, t
     ("stars", "sunarc.cli.stars", "stars",
      "Detect and identify stars in images of the night; exit 1 when none matches, or one is of another site."),
     ("mask", "sunarc.cli.mask", "mask",
-     "Find what hides the sky, and the horizon, in images of a clear day or more."),
+     "Find the obstructions of the sky, and the horizon, in images of a clear day or more."),
     ("project", "sunarc.cli.pixels", "project",
      "Read zenith_deg,azimuth_deg from standard input and write their pixels."),
     ("unproject", "sunarc.cli.pixels", "unproject",
@@ -45,10 +45,10 @@ LIBRARY = {name: Command(module, attribute, text) for name, module, attribute, t
 
 IMAGER = {name: Command(module, attribute, text, name in _HIDDEN) for name, module, attribute, text in (
     ("init", "sunarc.cli.init", "init",
-     "Ask for what cannot be known, try the rest, and write a settings file; exit 1 where a trial fails."),
+     "Ask for the site and the source, try the rest, and write a settings file; exit 1 where a trial fails."),
     ("serve", "sunarc.cli.service", "serve", "Run the service until SIGTERM or SIGINT."),
     ("check", "sunarc.cli.service", "check",
-     "Check what the service needs: disk, database, port, clock, camera, files, receivers; exit 1 when a check fails."),
+     "Check the needs of the service: disk, database, port, clock, camera, files, receivers; exit 1 if one fails."),
     ("settings", "sunarc.cli.service", "settings",
      "Print every setting with its default, its bounds and its meaning, as the page docs/settings.md."),
     ("ingest", "sunarc.cli.ingest", "ingest",

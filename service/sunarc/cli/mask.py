@@ -37,7 +37,7 @@ def mask(
     accept_refused: AcceptRefused = False,
     as_json: AsJson = False,
 ) -> None:
-    """Find what hides the sky, and the horizon, in images of a clear day or more.
+    """Find the obstructions of the sky, and the horizon, in images of a clear day or more.
 
     Example: sunarc mask day/*.jpg --calibration calibration.json -o mask.png --horizon horizon.csv
     """

@@ -63,13 +63,13 @@ def detect(
 
 
 def _why(row: Mapping[str, Any]) -> Finding:
-    """Return what decided about an image."""
+    """Return the deciding finding of an image."""
     first = row["findings"][0]
     return Finding(first["code"], first["data"])
 
 
 def _print_found(found: Sequence[Mapping[str, Any]]) -> None:
-    """Print a table, the reason of each refusal, and how many images show the sun or what took most of them."""
+    """Print a table, the reason of each refusal, and how many images show the sun or the cause that took most."""
     columns = ("file", "x_px", "y_px", "sigma_px", "method", "verdict")
     print_table(columns, [[row[column] for column in columns] for row in found])
     refused = [row for row in found if not row["accepted"]]

@@ -66,7 +66,7 @@ def check(
     camera: Annotated[bool, typer.Option("--camera", help="Look at the camera alone, closely.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Check the needs of the service: disk, database, port, clock, camera, files, receivers; exit 1 when a check fails.
+    """Check the needs of the service: disk, database, port, clock, camera, files, receivers; exit 1 if one fails.
 
     Example: sunarc check --camera --config /etc/sunarc/sunarc.toml
     """

@@ -204,7 +204,7 @@ class Imager(Requests):
         return self._content("/masks/sun", radius_deg=_number(radius_deg), at=_time(at), calibration=self._chosen)
 
     def obstruction_mask(self, *, form: str = "png") -> bytes:
-        """Return what hides the sky: png (255 free, 128 unknown, 64 dirt, 0 hidden), or npz of probabilities."""
+        """Return the obstructions: png (255 free, 128 unknown, 64 dirt, 0 hidden), or npz of probabilities."""
         return self._content("/masks/obstructions", format=form)
 
     def horizon(self) -> dict[str, Any]:

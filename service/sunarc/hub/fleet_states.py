@@ -100,7 +100,7 @@ def members(cameras: tuple[FleetCamera, ...], now: datetime, crossed: CrossCheck
 
 
 def _service_state(camera: FleetCamera, found: list[tuple[State, FleetReason]]) -> tuple[ServiceState, str]:
-    """Return the state of a camera, as its imager reports it or by its conditions, with what the hub found."""
+    """Return the state of a camera, as its imager reports it or by its conditions, with the hub's own findings."""
     status: Mapping[str, Any] = camera.status or {}
     own, listed = status.get("state"), status.get("conditions")
     reported_state = next((word for word in get_args(ServiceState) if word == own), None)

@@ -145,7 +145,7 @@ class ObstructionSums:
 
     @property
     def is_ready(self) -> bool:
-        """Whether there is a mask: enough time with the sun seen."""
+        """True with a mask: enough time with the sun seen."""
         return self.clear_s >= _NEEDED_CLEAR_S
 
     @property
@@ -362,7 +362,7 @@ def _stillness(texture: Cells, sums: ObstructionSums) -> Cells:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ObstructionMask:
-    """What hides the sky, by cells."""
+    """Obstructions of the sky, by cells."""
 
     grid: CellGrid
     """Of the camera."""

@@ -36,7 +36,7 @@ _STATES = {"free": FREE, "unknown": UNKNOWN, "soiled": SOILED, "hidden": HIDDEN}
 
 
 class LearnedMask(NamedTuple):
-    """What images show of obstructions: the mask and its horizon, and how many images were used for what."""
+    """Obstructions by images: the mask and its horizon, and how many images were used for which purpose."""
 
     mask: ObstructionMask
     horizon: HorizonProfile

@@ -43,7 +43,7 @@ from sunarc.stars.views import StarView, match_views, matching_flip, predict_sta
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StarOptions:
-    """How images of the night are read.
+    """Options of reading images of the night.
 
     Attributes
     ----------

@@ -74,7 +74,7 @@ class WithPosition(Protocol):
 
     @property
     def accepted(self) -> bool:
-        """Whether fits may use the position."""
+        """True where fits may use the position."""
 
     @property
     def x_px(self) -> float | None:

@@ -128,7 +128,7 @@ HEADER_FAMILIES = {"netpbm": "PGM header", "fits": "FITS header", "netcdf": "Net
 
 
 class TimeRules(NamedTuple):
-    """How times are read.
+    """Rules of reading times.
 
     pattern: of the names without suffix, see `time_pattern`. offset: how far times without a zone are ahead of UTC;
     None refuses them. documents: whether a picture's head is read for the document of our own composites.

@@ -27,7 +27,7 @@ from sunarc.sources.source_files import MOST_PIXELS, FileImage, not_read, refusi
 # PGM and PPM (https://netpbm.sourceforge.net/doc/pgm.html): a file may hold several, each with comments in its header.
 
 NETPBM = (b"P5", b"P6", b"P2", b"P3")
-"""What files of binary counts, and of counts as text, begin with."""
+"""Beginnings of files of binary counts, and of counts as text."""
 _SPACE = rb"(?:\s|#[^\n]*\n)+"
 _HEADER = re.compile(
     rb"P(?P<magic>[5623])(?P<comments>" + _SPACE + rb")(?P<width>\d{1,6})" + _SPACE + rb"(?P<height>\d{1,6})" + _SPACE

@@ -177,7 +177,7 @@ class _Part(NamedTuple):
 def doubts(fit: FitState, usable: Sightings, without: Sequence[_Without]) -> Doubts:
     """Return how well fits without a part of the sightings predict it, see `without_parts`.
 
-    All that a part says of lens, pose and field are few numbers; where the stated errors hold, their errors are
+    All that a part shows of lens, pose and field are few numbers; where the stated errors hold, their errors are
     independent and of unit variance.
     """
     # the sun's track is judged: whether stars agree with it is a question of its own (`night_check`)

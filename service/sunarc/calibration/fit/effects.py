@@ -73,7 +73,7 @@ class _View(NamedTuple):
     stretch (n, 2, 2): px by the wide prior's aspect and skew. by_direction (n, 2, 3), rise (n, 2): px per unit of the
     direction, and per radian that it rises. focal (n, 2): px by a focal length twice as long. outwards (n, 2), radius
     (n,): unit vectors away from the principal point, and the distance to it over that of the horizon. off (n, 2): px by
-    which the sightings lie beside it. n_days: how many days. hours (n,): from the mean time of each day's
+    which the sightings lie next to it. n_days: how many days. hours (n,): from the mean time of each day's
     sightings.
     """
 

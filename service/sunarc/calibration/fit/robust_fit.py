@@ -151,7 +151,7 @@ class FitState:
     problem: FitProblem
     """The camera sought, with the blocks of the errors that sightings share."""
     observed: Sightings
-    """The sightings, with what the errors that they share displace them by."""
+    """The sightings, with their displacement by the errors that they share."""
     groups: NoiseGroups
     """Groups of the sightings."""
     grid: HyperparameterGrid
@@ -165,7 +165,7 @@ class FitState:
     last_round: LinearSystem
     """The bins' equations of the last round."""
     scatter: FloatArray
-    """(n, 2) px: residuals without what the field explains."""
+    """(n, 2) px: residuals without the field's part."""
     leverage: FloatArray | None = None
     """(n,) see `leverage_of`; None where each sighting has little."""
     field_odds: float = -math.inf
@@ -313,7 +313,7 @@ def _rounds(
 def _begin(
     problem: FitProblem, observed: Sightings, plain: FloatArray, grid: HyperparameterGrid, groups: NoiseGroups
 ) -> FitState:
-    """Return the state of a camera beside which a large field explains what it can."""
+    """Return the state of a camera with a large field that explains the rest."""
     scales = Scales(_FIRST_FIELD_PX, float(grid.lengths[0]), LOOSE_RADIAL_PX, LOOSE_DECENTERING_PX)
     residuals = problem.residuals(plain, observed)
     noise = measured_noise(residuals, observed, groups)
@@ -335,7 +335,7 @@ def _begin(
 
 
 def _improved(state: FitState) -> FitState:
-    """Return the state after a solve with the noise that it shows, and the scales that the data speak for."""
+    """Return the state after a solve with the noise of its residuals, and the most probable scales."""
     problem, observed, grid, bins = state.problem, state.observed, state.grid, state.groups.bins
     noise = measured_noise(state.scatter, observed, state.groups, leverage=state.leverage)
     information = noise.information(observed)

@@ -358,7 +358,7 @@ def tilt_in_doubt(judged: JudgedFit) -> Data | None:
 
 
 def tilt_to_refuse(judged: JudgedFit) -> Data | None:
-    """Return the tilt in doubt, where nothing else refuses the fit but what the sightings do not determine."""
+    """Return the tilt in doubt, where nothing else refuses the fit but a lack of information."""
     doubt, codes = tilt_in_doubt(judged), {one.code for one in judged.against}
     if doubt is None or not codes <= UNDETERMINED:
         return None
@@ -368,7 +368,7 @@ def tilt_to_refuse(judged: JudgedFit) -> Data | None:
 
 
 def question_asked(judged: JudgedFit) -> Finding | None:
-    """Return the mistake that may be behind a tilt that refuses the fit, or behind what else refuses it."""
+    """Return the mistake that may be behind a tilt that refuses the fit, or behind another refusal."""
     of_a_tilt = {one.code for one in judged.against} & _OF_A_TILT
     if is_tilt_shown(judged.calibration):
         of_a_tilt -= {"tilt_too_large"}
@@ -439,7 +439,7 @@ def bias_outwards(judged: JudgedFit) -> Data:
 
 
 def change_of_focal_length(judged: JudgedFit) -> Data | None:
-    """Return by what share of itself the focal length changes within the record, where that is proven."""
+    """Return the share of itself by which the focal length changes within the record, where that is proven."""
     log_odds = judged.calibration.evidence.log_odds
     if "season_share" not in log_odds:
         return None

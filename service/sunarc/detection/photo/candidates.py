@@ -164,7 +164,7 @@ _SCATTER, _SPREAD, _OFFSET = 7.0, 0.5, 0.45
 maximum likelihood on 28 real suns and 283 stand-ins without an edge, each series of equal weight, rounded
 (docs/studies.md, "Stand-ins"). Cloud that scatters the rim also moves it, by a share that grows with the scatter."""
 _PULL = 0.35
-"""Sigma over the pull of a rim without an edge: what `rim_of` takes off is as wrong on all suns of a day."""
+"""Sigma over the pull of a rim without an edge: the correction of `rim_of` is as wrong on all suns of a day."""
 _CLOUDY, _CLOUDY_RADIUS = 0.9, 0.7
 """Unevenness from which on the light about a rim without an edge is broken cloud's, and sigma over the radius and the
 excess: real clear suns had 0.9 and less; of 47 suns behind broken cloud 17 are left, within 3.1 sigma."""

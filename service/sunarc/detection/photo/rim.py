@@ -62,7 +62,7 @@ _PULLED = 0.45
 """Share of the pull by which a rim's centre is off: 0.25 to 0.55 at drawn blown-out horizons, 0.96 by a gradient."""
 
 _DARK, _FAR_DARKER = 0.06, 0.25
-"""Of the plateau, and of the median of a ring of light: what is darker than both is the rim of the field."""
+"""Of the plateau, and of the median of a ring of light: darker than both is the rim of the field."""
 
 _CLIPPED = 0.6  # share of a plateau that is level where it is clipped
 _WITHIN, _FLAT, _FLAT_COUNTS = 0.75, 0.006, 1.5  # radii; of the level, and counts at least: JPEG's noise
@@ -253,7 +253,7 @@ def _lopsidedness(rays: _Rays, radius: float) -> float:
     if np.count_nonzero(known) < _LEAST_POINTS:
         return 1.0
     middle, *parts = np.linalg.lstsq(_HARMONICS[known], ring[known])[0].tolist()
-    return math.hypot(*parts[:2], *parts[4:]) / max(1.0 - middle, _LEAST_FALL)
+    return float(math.hypot(*parts[:2], *parts[4:]) / max(1.0 - middle, _LEAST_FALL))
 
 
 def _pull(rays: _Rays, crossing: list[FloatArray], radius: float) -> tuple[float, float]:

@@ -35,7 +35,7 @@ def push_workers(
     clock : real time.
     board : where receivers that fail are shown.
     client : what this service is called at a broker.
-    every_s : seconds between two looks at the cameras.
+    every_s : seconds between two queries of the cameras.
     """
     names = [*(["mqtt"] if options.mqtt else []), *map(webhook_name, options.webhooks)]
     if not names:

@@ -65,7 +65,7 @@ class MovePictures:
             old.unlink(missing_ok=True)
 
     def keep(self, event: Event, newest: Path, *, sighted_at: datetime) -> None:
-        """Keep what is missing of the pictures before and after a move.
+        """Keep the missing ones of the pictures before and after a move.
 
         Parameters
         ----------

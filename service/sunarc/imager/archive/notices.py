@@ -215,7 +215,7 @@ class _NoticePosition(NamedTuple):
 
 
 class _Look(NamedTuple):
-    """State of a camera at a look at it; see `NoticeStore.record`."""
+    """Present state of a camera; see `NoticeStore.record`."""
 
     camera: str
     conditions: Mapping[str, Mapping[str, Any]]

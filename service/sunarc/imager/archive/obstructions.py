@@ -75,18 +75,18 @@ class ObstructionLearner:
 
     @property
     def learned(self) -> LearnedObstructions | None:
-        """What is served; None before there was a clear day."""
+        """Mask that is served; None before there was a clear day."""
         return self._learned
 
     @property
     def missing(self) -> str:
-        """Return what there is too little of for a mask, as a sentence."""
+        """Return the reason why there is no mask yet, as a sentence."""
         if self._sums is None:
             return "no image has been compared with a calibration yet"
         return f"too little sunshine was seen: {self._sums.missing_h:.1f} h more are needed"
 
     def take(self, image: Image, time: datetime) -> None:
-        """Use an image, unless one of the last minutes was used; what cannot be used or written is left out."""
+        """Use an image, unless one of the last minutes was used; images that cannot be used or written are left out."""
         unix_s = time.timestamp()
         with self._lock:
             if self._sums is not None and 0.0 <= unix_s - self._sums.unix_s < _EVERY_S:
@@ -133,7 +133,7 @@ class ObstructionLearner:
             return None
 
     def _renew(self, time: datetime) -> None:
-        """Make the mask anew, store the sums, and write down what appeared or is gone."""
+        """Make the mask anew, store the sums, and write the events of its changes."""
         sums, grid, model = self._sums, self._grid, self._model
         if sums is None or grid is None or model is None:
             return
@@ -187,7 +187,7 @@ def _bytes(calibration: str, sums: ObstructionSums) -> bytes:
 
 
 def _read(path: Path) -> tuple[str, ObstructionSums | None]:
-    """Return the calibration and the sums of a file; none where there is no such file, or it is damaged."""
+    """Return the calibration and the sums of a file; None without such a file, or for a damaged one."""
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
             plain: dict[str, Any] = json.loads(str(stored["plain"]))

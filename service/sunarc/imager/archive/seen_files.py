@@ -55,7 +55,7 @@ class SeenFileStore(Part):
             return values_of(connection, dated, SeenFile)
 
     def used(self, camera: str, *, since: datetime | None, until: datetime | None, limit: int) -> tuple[SeenFile, ...]:
-        """Return the files that were looked at with since <= time < until of their image, the newest first."""
+        """Return the files that were read with since <= time < until of their image, the newest first."""
         c = seen_file.c
         filters = given((c.time.__ge__, since), (c.time.__lt__, until))
         dated = select(seen_file).where(c.camera == camera, c.time.is_not(None), c.code.is_(None), *filters)

@@ -421,7 +421,7 @@ class Event(Returned):
     @computed_field(description="Whether it stays on top until an operator acknowledges it.", examples=[False])  # type: ignore[prop-decorator]
     @property
     def to_acknowledge(self) -> bool:
-        """Whether an operator has to acknowledge it."""
+        """True where an operator has to acknowledge it."""
         return TO_ACKNOWLEDGE in self.details and ACKNOWLEDGED_AT not in self.details
 
     @staticmethod

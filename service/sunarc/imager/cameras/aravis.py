@@ -134,7 +134,7 @@ class NotedExposure:
 
     @property
     def from_frame(self) -> bool:
-        """Whether frames note their exposure themselves."""
+        """True where frames note their exposure themselves."""
         return self._parser is not None
 
     def of(self, buffer: Any) -> float:  # noqa: ANN401 - a GObject

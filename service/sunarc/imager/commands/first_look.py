@@ -48,7 +48,7 @@ class TriedPicture:
 
     @property
     def shows_sun(self) -> bool:
-        """Whether a sun was found in it."""
+        """True where a sun was found in it."""
         return self.found is not None and self.found.accepted
 
     def describe(self) -> str:

@@ -186,7 +186,7 @@ class DropOldestQueue(Generic[T]):
 
     @property
     def full(self) -> bool:
-        """Whether the next put would push a thing out."""
+        """True where the next put would push a thing out."""
         return len(self) >= self._capacity
 
     def __len__(self) -> int:

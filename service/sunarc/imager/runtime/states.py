@@ -8,7 +8,7 @@ from typing import Literal, Protocol, get_args
 State = Literal["not_serving", "attention", "starting", "ready_with_note", "ready"]
 """How a service is, the worst first."""
 Severity = Literal["note", "degraded", "not_ready"]
-"""What a condition means for the health: a `note` means nothing."""
+"""Meaning of a condition for the health: a `note` means nothing."""
 
 WORDS: Mapping[State, str] = {
     "not_serving": "not serving",
@@ -47,7 +47,7 @@ _UNLISTED = 1000
 
 
 class _Condition(Protocol):
-    """What is asked of a condition."""
+    """Column of a condition."""
 
     @property
     def code(self) -> str: ...

@@ -160,12 +160,12 @@ class Settings(_WithStore):
 
     @property
     def is_replay(self) -> bool:
-        """Whether the frames' clock is that of a replay or of a simulation, not the present time."""
+        """True where the frames' clock is that of a replay or of a simulation, not the present time."""
         return self.source == "replay" or self.capture.speed != 1.0
 
     @property
     def dated_by_camera(self) -> bool:
-        """Whether the time of the frames is taken from them; else it is the host's, also where files state theirs.
+        """True where the time of the frames is taken from them; else it is the host's, also where files state theirs.
 
         The times of a folder's images come late, and out of order, those of a camera asked by HTTP are whole seconds of
         its own clock; those of a simulation are the only clock there is.

@@ -182,9 +182,9 @@ def create_app(
     images : the composites; None without them.
     timezone : IANA name of the zone whose local times are shown with those in UTC.
     is_replay : whether the frames' clock is that of a replay or of a simulation.
-    moves : the pictures before and after moves; None where there are none.
+    moves : the pictures before and after moves; None without them.
     obstructions : the mask that the images have shown; None where no images are seen.
-    pictures : lists the pictures of a source that are not among `images`; None where there are none.
+    pictures : lists the pictures of a source that are not among `images`; None without them.
     stopping : returns whether the service is about to stop: streams of events end then.
     """
     context = new_context(

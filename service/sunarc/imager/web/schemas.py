@@ -126,7 +126,7 @@ class Decision(Body):
 
 
 class Acknowledgement(Body):
-    """What an operator says of an event."""
+    """Statement of an operator about an event."""
 
     reason: str = Field(
         default="seen",

@@ -56,7 +56,7 @@ class Cycle:
 
     @property
     def complete(self) -> bool:
-        """Whether every normal exposure succeeded."""
+        """True where every normal exposure succeeded."""
         return None not in self.normal
 
 
@@ -122,7 +122,7 @@ class _CycleLevel:
 
     @property
     def tells(self) -> bool:
-        """Whether there is contrast enough to compare others with it."""
+        """True where there is contrast enough to compare others with it."""
         return factor_all_over(self.level, self.level) is not None
 
     def factor_to(self, later: _CycleLevel) -> float | None:

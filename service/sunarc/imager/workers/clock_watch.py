@@ -50,7 +50,7 @@ class FrameTime:
 
     @property
     def follows_camera(self) -> bool:
-        """Whether the time is taken from the frames."""
+        """True where the time is taken from the frames."""
         return self._follows_camera
 
     @property
@@ -68,7 +68,7 @@ class FrameTime:
 
     @property
     def is_known(self) -> bool:
-        """Whether the frame time is known: at once from the host, after the first frame from a camera."""
+        """True where the frame time is known: at once from the host, after the first frame from a camera."""
         return not self._follows_camera or self._last is not None
 
     def note(self, captured_at: datetime, *, host_offset_s: float | None = None) -> None:
@@ -299,7 +299,7 @@ class ClockWatch:
         self._publish()
 
     def trusted(self) -> bool:
-        """Whether sightings made now can be calibrated with."""
+        """Return whether sightings made now can be used for a calibration."""
         if self._last is None:
             self._compare()
         return self._bound_s() < UNKNOWN_ERROR_S and not self._camera_off_s and not self._is_camera_far_off()
@@ -499,7 +499,7 @@ class ClockWatch:
         self._is_offset_written = is_off
 
     def _unsynchronised(self) -> Finding:
-        """Return that the clock is not synchronised, with what that costs in degrees."""
+        """Return that the clock is not synchronised, with the error that it makes in degrees."""
         return Finding("clock_unsynchronised", {"clock": self._whose, "cost": cost_of_clock(self._sigma_deg())})
 
     def _sigma_deg(self) -> float | None:
@@ -533,7 +533,7 @@ _ABOUT_S = 1.0
 
 
 def cost_of_clock(sigma_deg: float | None) -> str:
-    """Return in words what a clock costs that nothing corrects; `sigma_deg` is that of the served calibration."""
+    """Return in words the error of directions by a clock that nothing corrects; `sigma_deg` is the served 1-sigma."""
     sky = f"each second that it is wrong moves the expected sun by {_SUN_DEG_PER_S:.4f}°"
     if sigma_deg is None:
         return sky

@@ -348,7 +348,7 @@ class DetectWorker:
         return beside([result.detection for result in earlier], detection, shifts=complete)
 
     def _or_elsewhere(self, frame: Frame, found: Detection, expectation: Expectation | None) -> Detection:
-        """Return the detection, or a clean disc anywhere in a frame that has none where it is due."""
+        """Return the detection, or a clean disc anywhere in a frame without one at its expected place."""
         if found.accepted or expectation is None or found.verdict not in _PERHAPS_ELSEWHERE:
             return found
         sensor, options = sensor_of(frame, self.options), self._with_brightness(frame.time)

@@ -249,7 +249,7 @@ Duration = Annotated[float, Gt(0.0), Le(DAY_S)]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClockOptions:
-    """How the time of the frames is watched.
+    """Options of the watch over the time of the frames.
 
     Attributes
     ----------

@@ -57,7 +57,7 @@ def obstruction_routes(context: ApiContext) -> APIRouter:
         request: Request,
         format_: Annotated[Literal["png", "npz"], Query(alias="format", description="Of the answer.")] = "png",
     ) -> Response:
-        """Return what hides the sky, as the images have shown."""
+        """Return the obstructions of the sky, as the images have shown."""
         found = learned(request)
         if format_ == "png":
             return Response(mask_png(found.mask), media_type="image/png")

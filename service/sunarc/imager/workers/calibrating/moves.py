@@ -128,7 +128,7 @@ class MoveConditions:
 
 @dataclass(frozen=True, slots=True)
 class _Pose:
-    """How the present pose stands.
+    """State of the present pose.
 
     Attributes
     ----------
