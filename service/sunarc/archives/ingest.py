@@ -149,7 +149,7 @@ def ingest_followed(settings: Settings, *, rules: TimeRules, only: frozenset[str
 def _plan(settings: Settings, folder: Path, options: IngestOptions, size: tuple[int, int] | None) -> CameraPlan:
     return CameraPlan(
         name=settings.name,
-        site=settings.site,
+        site=settings.place,
         selector=Selector((name_text(folder),), options.files, options.only),
         rules=options.rules,
         image_size=size,
@@ -194,7 +194,7 @@ def _camera(store: FolderLedger) -> ArchiveCamera:
     settings, numbers = store.settings, store.settings.refit.image_circle_px
     circle = None if numbers is None else ImageCircle(x=numbers[0], y=numbers[1], radius=numbers[2])
     options = replace(settings.calibration, method="robust", mirrored="auto")
-    return ArchiveCamera(settings.site, store.camera.size, options, circle)
+    return ArchiveCamera(settings.place, store.camera.size, options, circle)
 
 
 def _first_analysis(store: FolderLedger, points: Sightings, camera: ArchiveCamera) -> Rough:
@@ -364,7 +364,7 @@ class FolderLedger:
     def looked(self, *, without_days: Container[int] = ()) -> Looked:
         """Return the images with a sighting, but for those of some solar days, and these as the archive holds them."""
         found = self.found()
-        days = solar_days(np.array([one.unix_s for one in found]), longitude=self.settings.site.longitude).tolist()
+        days = solar_days(np.array([one.unix_s for one in found]), longitude=self.settings.place.longitude).tolist()
         kept = {image: one for (image, one), day in zip(found.items(), days, strict=True) if day not in without_days}
         suns = (_sun_of(one) for one in kept.values())
         return Looked(tuple(kept), tuple(suns))

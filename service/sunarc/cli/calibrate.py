@@ -306,7 +306,7 @@ def _site(config: Path | None, *stated: float | None) -> Site:
     given = {name: value for name, value in zip(names, stated, strict=True) if value is not None}
     if config is not None and not {"latitude", "longitude"} <= given.keys():
         require_extra("imager", what="calibrate --config")
-        known: Site = service_settings(config).site
+        known: Site = service_settings(config).place
         return replace(known, **given)
     for name in ("latitude", "longitude"):
         _given(given.get(name), f"--{name}")

@@ -174,7 +174,7 @@ def run_checks(settings: Settings, *, clock: Clock) -> Iterator[CheckResult]:
         yield from _optional(settings, clock)
     if settings.source == "folder" and settings.folder is not None:
         with as_owner(settings.state):
-            yield from (CheckResult(*tried[:3]) for tried in _pictures(settings.folder, settings.site, None))
+            yield from (CheckResult(*tried[:3]) for tried in _pictures(settings.folder, settings.place, None))
     elif settings.source in {"http", "rtsp"}:
         with as_owner(settings.state):
             yield _checked(f"picture at {settings.source}.url", lambda: _snapshot(settings, None)[:2])
@@ -228,7 +228,7 @@ def try_first(settings: Settings, *, addresses: Sequence[str], picture: Path) ->
     if settings.source == "aravis":
         yield from (TriedResult(*result) for result in _cameras_that_answer(settings, addresses, clock))
     elif settings.folder is not None and settings.source == "folder":
-        yield from _pictures(settings.folder, settings.site, picture)
+        yield from _pictures(settings.folder, settings.place, picture)
     elif settings.source in {"http", "rtsp"}:
         codes: list[str] = []
 
@@ -316,7 +316,7 @@ def _snapshot(settings: Settings, shown: Path | None) -> tuple[Outcome, str, str
     tried = look_for_sun(TriedPicture(name=name, time=found.time, rule=rule), image)
     if shown is not None:
         _write_small(shown, image, tried)
-    judged = judge_site([tried], settings.site)
+    judged = judge_site([tried], settings.place)
     if judged.code == "site_sun_down":
         return "warn", f"{tried.describe()}; {_sentence(judged)}", judged.code
     return "ok", tried.describe() + ("" if shown is None else f"; see {shown}"), ""
@@ -356,7 +356,7 @@ def _optional(settings: Settings, clock: Clock) -> Iterator[CheckResult]:
     if settings.first_pose.lens_prior is not None:
         yield _checked("lens prior", lambda: _done(FirstPose.of(settings.first_pose), "read"))
     if settings.night.enabled:
-        yield _checked("night", lambda: _done(night_capture(settings.night, lambda _: settings.site), "possible"))
+        yield _checked("night", lambda: _done(night_capture(settings.night, lambda _: settings.place), "possible"))
     if settings.hub.url is not None:
         yield _checked("hub", lambda: _hub(settings))
     for sink in receivers(settings.push, states=dict, clock=clock, client=settings.name):

@@ -45,7 +45,7 @@ def require_stored_site(archive: Archive, settings: Settings) -> None:
     """Raise `InputError` when the archive has the settings' camera at another site."""
     stored = archive.cameras.get(settings.name)
     if stored is not None:
-        require_same_site(stored, settings.site)
+        require_same_site(stored, settings.place)
 
 
 def require_same_camera(archive: Archive, *, name: str, info: CameraInfo) -> None:

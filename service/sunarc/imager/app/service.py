@@ -165,7 +165,7 @@ class Service:
         self._folder_analysis = folder_analysis
         self.settings = settings
         self.archive = archive
-        self.camera = CameraArchive(archive, name=settings.name, site=settings.site)
+        self.camera = CameraArchive(archive, name=settings.name, site=settings.place)
         self.clock = clock
         self.board = StatusRegistry(version=sunarc.__version__, started_at=clock.now(), monotonic=clock.monotonic)
         self.frame_time = FrameTime(clock, follows_camera=settings.dated_by_camera, speed=settings.capture.speed)
@@ -425,7 +425,7 @@ class Service:
         except BaseException:
             camera.close()
             raise
-        record = camera_record(camera.info, name=self.settings.name, site=self.settings.site)
+        record = camera_record(camera.info, name=self.settings.name, site=self.settings.place)
         try:
             self.archive.cameras.save(note_other_camera(self.archive, record, at=self._time_of_change()))
         except OutsideError as error:
@@ -478,7 +478,7 @@ class Service:
             store=self.images,
             options=self.settings.sensor,
             describe=partial(
-                image_document, camera=self.settings.name, site=self.settings.site, predictor=self.predictor
+                image_document, camera=self.settings.name, site=self.settings.place, predictor=self.predictor
             ),
             show=self.obstructions.take,
             board=self.board,

@@ -191,7 +191,7 @@ def _web_server(service: Service, *, on_started: Callable[[], None]) -> Server:
     app = create_app(
         archive=service.archive,
         camera=service.settings.name,
-        site=service.settings.site,
+        site=service.settings.place,
         status=service.board.snapshot,
         request_refit=service.request_refit,
         frame_clock=service.frame_time.now,

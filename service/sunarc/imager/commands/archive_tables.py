@@ -208,7 +208,7 @@ def import_points(settings: Settings, path: Path, *, image_size: tuple[int, int]
     InputError : a row is wrong, many lie outside the image, the image size is not known, or the archive's camera is
         another one.
     """
-    table = read_sightings(read_lines(path), name=path.name, site=settings.site)
+    table = read_sightings(read_lines(path), name=path.name, site=settings.place)
     size = image_size or _size_in_archive(settings) or _size_in_settings(settings)
     if size is None:
         raise InputError(
@@ -218,7 +218,7 @@ def import_points(settings: Settings, path: Path, *, image_size: tuple[int, int]
         )
     require_inside(table.pixels, size, name=path.name)
     total, table = len(table), table.select(inside_image(table.pixels, size))
-    _require_bodies(table, settings.site, path.name)
+    _require_bodies(table, settings.place, path.name)
     upgrade_present(settings.archive)
     with open_archive(settings.archive) as archive:
         register_camera(archive, settings, size)
@@ -240,7 +240,7 @@ def write_points(settings: Settings, target: TextIO, *, since: datetime | None, 
     if all(p.body == SUN for p, _, _ in placed):
         return write_sightings(target, rows, air=air)
     unix_s, body = np.array([p.time.timestamp() for p, _, _ in placed]), np.array([p.body for p, _, _ in placed])
-    directions = body_directions(body, unix_s, settings.site, temperature=air[0], pressure=air[1])
+    directions = body_directions(body, unix_s, settings.place, temperature=air[0], pressure=air[1])
     return write_sightings(target, rows, air=air, directions=directions)
 
 

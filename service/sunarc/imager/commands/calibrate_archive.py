@@ -98,7 +98,7 @@ def _worker(archive: Archive, settings: Settings, clock: Clock) -> RefitWorker:
     """Return the worker that fits the archive's sightings by the settings."""
     started_at = clock.now()
     return RefitWorker(
-        CameraArchive(archive, name=settings.name, site=settings.site),
+        CameraArchive(archive, name=settings.name, site=settings.place),
         options=settings.refit,
         calibration=settings.calibration,
         cadence_s=settings.capture.cadence_s,

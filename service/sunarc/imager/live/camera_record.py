@@ -22,7 +22,7 @@ def known_camera(archive: Archive, settings: Settings) -> CameraRecord | None:
     """
     found = archive.cameras.get(settings.name)
     if found is not None:
-        require_same_site(found, settings.site)
+        require_same_site(found, settings.place)
     return found
 
 
@@ -35,7 +35,7 @@ def register_camera(archive: Archive, settings: Settings, size: tuple[int, int])
     """
     known = known_camera(archive, settings)
     if known is None:
-        known = CameraRecord.at(settings.site, name=settings.name, width=size[0], height=size[1])
+        known = CameraRecord.at(settings.place, name=settings.name, width=size[0], height=size[1])
         archive.cameras.save(known)
     if known.image_size != size:
         raise InputError(

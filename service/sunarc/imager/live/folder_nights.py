@@ -89,7 +89,7 @@ def ingest_nights(
         whose stars are not named again keeps them.
     progress : called after each image.
     """
-    camera = CameraArchive(archive, name=settings.name, site=settings.site)
+    camera = CameraArchive(archive, name=settings.name, site=settings.place)
     if not images.nights:
         return FolderNights()
     record = camera.archive.cameras.get(camera.name)
@@ -99,7 +99,7 @@ def ingest_nights(
     seen = {} if reprocess else {night.date: night.n_images for night in camera.archive.nights.find(camera.name)}
     found, known, failures, done = list[NightOutcome](), 0, list[Failure](), 0
     flips = dict[str, Finding]()
-    for night, every in by_night(images.nights, longitude=settings.site.longitude):
+    for night, every in by_night(images.nights, longitude=settings.place.longitude):
         some = evenly(every)
         if seen.get(night, -1) >= _KNOWN_SHARE * len(some) - 1.0:
             known += len(every)

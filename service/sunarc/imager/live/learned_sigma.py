@@ -65,7 +65,7 @@ def learn_sigma(archive: Archive, settings: Settings, cameras: Sequence[ValidCam
     for method in archive.sightings.methods_of_files(settings.name):
         columns = archive.sightings.columns(settings.name, method=method, of_files=True)
         residual = np.full_like(columns.pixels, np.nan)
-        directions = sun_directions(columns.unix_s, settings.site)
+        directions = sun_directions(columns.unix_s, settings.place)
         for one in cameras:
             held = (columns.unix_s >= one.since) & (columns.unix_s < one.until)
             residual[held] = columns.pixels[held] - project(one.calibration.camera, directions[held])

@@ -159,6 +159,11 @@ class Settings(_WithStore):
         return SiteOptions(**{one.name: getattr(site, one.name) for one in fields(Site)})
 
     @property
+    def place(self) -> Site:
+        """The site without its time zone: the one that is computed with, stored and compared."""
+        return Site(**{one.name: getattr(self.site, one.name) for one in fields(Site)})
+
+    @property
     def is_replay(self) -> bool:
         """True where the frames' clock is that of a replay or of a simulation, not the present time."""
         return self.source == "replay" or self.capture.speed != 1.0
