@@ -335,7 +335,7 @@ def test_where_nothing_is_wrong_nothing_is_proven() -> None:
     assert 0.001 < error < 1.6 * stated < 0.3
 
 
-@pytest.mark.parametrize("share", [0.0, 3e-4, 1e-3])
+@pytest.mark.parametrize("share", [0.0, 3e-4, 1e-3, 2e-3])
 def test_a_focal_length_that_follows_the_season_is_taken_out_and_the_camera_is_that_of_now(share: float) -> None:
     days = tuple(np.arange(0.0, 365.0, 21.0).tolist())
     times = times_of(days, cadence_s=900.0)

@@ -67,6 +67,7 @@ class FitOutcome(NamedTuple):
     cameras: one an epoch. parameter_names, covariance (p, p), cross (2, p, m): of the last one, errors that no residual
     shows not yet folded in. residual (n, 2) px; used (n,): whether a sighting counted. mixture: None for a Gaussian.
     doubts: of the fit by parts of the sightings; None where they are not asked for. sways_deg: see `with_pose_spread`.
+    displaced (n, 2): px, by the proven season of the focal length, against the camera of now.
     """
 
     cameras: list[Camera]
@@ -84,6 +85,7 @@ class FitOutcome(NamedTuple):
     mixture: result.ErrorMixture | None = None
     doubts: Doubts | None = None
     sways_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    displaced: FloatArray | float = 0.0
 
 
 def calibration_from_fit(fitted: FitOutcome, job: Job, *, others: Sequence[Finding] = ()) -> result.Calibration:
@@ -121,7 +123,8 @@ def calibration_from_fit(fitted: FitOutcome, job: Job, *, others: Sequence[Findi
     rms, most = sky_sigma_deg(calibration)
     calibration = with_pose_spread(replace(calibration, sky_rms_deg=rms, sky_max_deg=most), fitted.sways_deg)
     known = job.tilt_known or not job.parts  # one that is only compared with others is not asked
-    verdict = fit_verdict(calibration, usable, options, others=others, tilt_known=known)
+    now = replace(usable, pixels=usable.pixels - fitted.displaced)  # as the camera of now sees them
+    verdict = fit_verdict(calibration, now, options, others=others, tilt_known=known)
     return replace(calibration, verdict=verdict)
 
 
@@ -262,6 +265,7 @@ def robust_outcome(fit: FitState, usable: Sightings, options: CalibrationOptions
         mixture=fit.posterior.mixture,
         doubts=found,
         sways_deg=_sways_deg(fit, usable),
+        displaced=_by_season(fit),
     )
 
 
@@ -275,21 +279,24 @@ def _sways_deg(fit: FitState, usable: Sightings) -> tuple[float, float, float]:
     return _three(SWAY_DEG * np.sqrt(np.mean(square, axis=0) * np.unique(usable.day).size / len(square)))
 
 
-def _season_share(fit: FitState, usable: Sightings) -> dict[str, float]:
-    """Return the relative change of the focal length within the record; nothing where it is not proven."""
-    proven = [
-        one
+def _by_season(fit: FitState) -> FloatArray:
+    """Return (n, 2): by how much the proven season of the focal length displaces the sightings, px."""
+    sizes = [
+        fit.observed.systematic_px[..., one.columns] @ fit.unknowns[fit.problem.block_slice(one.name)]
         for one in fit.problem.blocks
         if one.name in SEASONS and result.proves(one.name, fit.log_odds.get(one.name, 0.0))
     ]
-    if not proven:
+    return np.asarray(np.sum(sizes, axis=0)) if sizes else np.zeros(fit.residual.shape)
+
+
+def _season_share(fit: FitState, usable: Sightings) -> dict[str, float]:
+    """Return the relative change of the focal length within the record; nothing where it is not proven."""
+    size = _by_season(fit)
+    if not np.any(size):
         return {}
-    sizes = [
-        fit.observed.systematic_px[..., one.columns] @ fit.unknowns[fit.problem.block_slice(one.name)] for one in proven
-    ]
     away = usable.pixels - fit.residual - np.array(fit.problem.camera(fit.unknowns).principal_point_px)
     square = np.sum(away**2, axis=-1)
-    changes = np.sum(np.sum(sizes, axis=0) * away, axis=-1) / np.maximum(square, float(np.median(square)))
+    changes = np.sum(size * away, axis=-1) / np.maximum(square, float(np.median(square)))
     return {"season_share": float(np.ptp(changes[square >= np.median(square)]))}
 
 
