@@ -562,6 +562,8 @@ def test_a_map_with_uncertain_parts_has_classes_and_is_ready_for_a_share_of_the_
         page = opened(chromium, address).page
         page.wait_for_selector("#sigma path", state="attached")
         page.wait_for_selector(f"#health-word >> text=Ready for {int(100 * found['share_within'])} % of the sky")
+        few = found["share_within"] < 0.5
+        assert page.get_attribute("#health", "data-health") == ("attention" if few else "ready")
         assert len(page.query_selector_all("#sigma path[class^=shade]")) == 6
         ends = [float(one) for one in re.findall(r"≤ ([\d.]+)°", page.inner_text("#sigma-scale"))]
         assert ends == sorted(ends)

@@ -26,6 +26,7 @@ const SKY_MS = 30000;
 const RESIDUALS_MS = 60000;
 const RECORD_MS = 3600000;
 const FRESH_MS = 5000;
+const LEAST_SHARE = 0.5; // of the sky within the limit, below which a ready camera is shown as one to attend to
 const MORE_EVENTS = 50;
 const MOST_EVENTS = 1000;
 const CALENDAR_DAYS = 182;
@@ -37,11 +38,13 @@ const known = {
 };
 
 function showHealth(health, headline, stateText = "") {
-  const [sign, plain] = SIGNS[health];
   const share = known.uncertainty?.share_within ?? 1;
+  const plain = SIGNS[health][1];
+  const shown = share < LEAST_SHARE && health.startsWith("ready") ? "attention" : health;
+  const [sign] = SIGNS[shown];
   const word = share < 1 && health.startsWith("ready") ? plain.replace("Ready", `Ready for ${sharePercent(known.uncertainty)} % of the sky`) : plain;
   $("state-text").textContent = stateText;
-  $("health").dataset.health = health;
+  $("health").dataset.health = shown;
   $("health-sign").textContent = sign;
   if ($("health-word").textContent !== word) $("health-word").textContent = word;
   $("headline").textContent = headline;
