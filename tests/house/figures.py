@@ -40,7 +40,8 @@ HOUSES = ("imager", "archives", "hub", "lab", "client", "cli")
 RELATIVE_WHAT = re.compile(r"^(?:Whether|How)\b|\bwhat\b", re.IGNORECASE)
 """A first line of a docstring with a relative "what", or one that begins as a question."""
 PHRASES = re.compile(
-    r"\b(?:[Ii]s|[Aa]re) none\b|\bsa(?:ys|id|y) of\b|\bspeaks? for\b|\blooks? at\b|\blooked at\b|\bbeside\b|"
+    r"\b(?:[Ii]s|[Aa]re) none\b|\bsa(?:ys|id|y) of\b|\bspeaks? for\b|\blooks? at\b|\blooked at\b|"
+    r"(?<![-`])\bbeside\b(?!`| :)|"
     r"\bgiven up\b|\bnone (?:if|where|of which)\b"
 )
 """Phrases of no textbook, in docstrings and in documents by hand; Python's `None` is a value, not a predicate."""

@@ -10,7 +10,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from tests.house import figures
 
+MOST_RELATIVE_WHAT = 1.0
+"""Percent of the first lines of docstrings."""
 WORDS = re.compile(r"told|vouch\w*|footing|believed|hindered|soundness|mend(?:s|ed|ing)?|foretold", re.IGNORECASE)
 PHRASES = re.compile(r"\bgiven up\b", re.IGNORECASE)
 KEPT = {
@@ -67,6 +70,12 @@ def test_no_document_and_no_message_has_them(root: Path) -> None:
 
 def test_every_module_and_every_public_name_has_a_docstring(sources: dict[str, str]) -> None:
     assert [name for name, text in sources.items() if ast.get_docstring(ast.parse(text)) is None] == []
+
+
+def test_first_lines_begin_with_the_noun_and_no_text_has_a_phrase_of_no_textbook() -> None:
+    found = figures.prose(figures.modules())
+    assert found["first lines with a relative what, %"] <= MOST_RELATIVE_WHAT
+    assert (found["phrases in docstrings"], found["phrases in pages by hand"]) == (0, 0)
 
 
 @pytest.mark.parametrize(

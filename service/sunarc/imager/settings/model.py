@@ -116,7 +116,7 @@ class Settings(_WithStore):
     api : the web server.
     hub : where the archive's rows are sent to.
     push : receivers of messages about conditions, events and calibrations.
-    night : whether the stars are looked at.
+    night : whether the stars are observed.
     nightly : what a hub does once a night.
     supervisor : limits of restarts and heartbeats of the workers.
     """
