@@ -294,7 +294,7 @@ class _Field:
         return self._waves(pixels) @ self._mean.T if np.any(self._mean) else 0.0
 
     def covariance(self, rows: FloatArray, pixels: FloatArray) -> FloatArray | float:
-        """Return (n, 2, 2) px² in addition to the parameters' one, with the pixel's derivatives (n, 2, p) by them."""
+        """Return the field's part (n, 2, 2) of the pixels' covariance, px²; `rows` (n, 2, p) are their derivatives."""
         if self._amplitude == 0.0:
             return 0.0
         waves = self._waves(pixels)

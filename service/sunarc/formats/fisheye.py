@@ -31,7 +31,7 @@ _ANGLES = 2001
 
 
 class Fisheye(IntEnum):
-    """Place of each parameter, in COLMAP's order; (fx, fy, cx, cy) in px."""
+    """Index of each parameter in COLMAP's model THIN_PRISM_FISHEYE; (fx, fy, cx, cy) in px."""
 
     FX = 0
     FY = 1

@@ -246,7 +246,7 @@ class Comparison:
     off_deg: FloatArray
 
     def __str__(self) -> str:
-        """Say it in one sentence."""
+        """Return the comparison in one sentence."""
         ranges = ", ".join(
             f"{low:.0f}-{high:.0f}: {one.rms_px:.2g} px ({one.rms_deg:.2g})"
             for (low, high), one in zip(ZENITH_RANGES_DEG, self.by_zenith, strict=True)

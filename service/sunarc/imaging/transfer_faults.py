@@ -42,7 +42,7 @@ def repeated_rows(image: Image) -> int:
 
 
 def missing_levels(image: Image) -> int:
-    """Return the number of steps that an image's full scale has, where these are 32 or fewer; 0 for a sound image.
+    """Return the number of levels of an image's full scale, where its steps are 32 or fewer; 0 for a sound image.
 
     Parameters
     ----------

@@ -51,7 +51,7 @@ _FALSE_ALARMS = 0.001
 
 
 class Departure(NamedTuple):
-    """RMS departure in the prior's sigmas over the determined quantities, the largest admissible one, and its name."""
+    """RMS departure in the prior's sigmas over the determined quantities, its limit, and the part of the lens."""
 
     rms: float
     limit: float

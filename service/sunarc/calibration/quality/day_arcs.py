@@ -159,7 +159,10 @@ def unexplained_days(calibration: Calibration, usable: Sightings) -> Unexplained
 
 
 def _judged_together(usable: Sightings, rows: IntArray, fewest: int) -> Iterator[IntArray]:
-    """Yield the rows of each day, those of a day of few with days after it, or at the end of an epoch before it."""
+    """Yield the rows of each day; days of few join each other, before a full day they are left out.
+
+    The last days of few of an epoch are joined by the rows before them.
+    """
     for of_epoch in np.split(rows, np.flatnonzero(np.diff(usable.epoch[rows])) + 1):
         together = rows[:0]
         for of_day in np.split(of_epoch, np.flatnonzero(np.diff(usable.day[of_epoch])) + 1):

@@ -39,7 +39,7 @@ class _Days(NamedTuple):
         return np.asarray(np.linalg.solve(self.products + np.eye(size) / spread**2, self.pulls[..., None])[..., 0])
 
     def over(self, variance: float) -> _Days:
-        """Return the sums over a variance of the residuals."""
+        """Return the sums divided by the variance of the residuals."""
         return _Days(self.products / variance, self.pulls / variance)
 
     def best(self) -> tuple[float, float]:
@@ -99,7 +99,7 @@ def allowed_clock_s(judged: JudgedFit) -> float:
 
 
 def _columns(calibration: Calibration, seen: Sightings) -> dict[str, FloatArray]:
-    """Return displacements (n, 2, k) per second of the clock, and per turn or shift of the sky's turn in one."""
+    """Return displacements (n, 2, k) by name: per second of the clock, per turn and shift of the sky's turn in 1 s."""
     by_sky, outwards = np.zeros((len(seen), 2, 3)), np.zeros((len(seen), 2, 1))
     epoch = np.minimum(seen.epoch, len(calibration.poses) - 1)
     for number, pose in enumerate(calibration.poses):

@@ -178,7 +178,7 @@ class Planes(NamedTuple):
         return self.counts[rows, columns].astype(np.float32) * np.float32(1.0 / self.full_scale)
 
     def grey(self, rows: slice = _ALL, columns: slice = _ALL) -> Plane:
-        """Return a part of the mean of the colours as fractions of full scale."""
+        """Return the mean of the colours over a window of the image, as fractions of full scale."""
         part = self.image[rows, columns].astype(np.float32)
         mean = part if part.ndim == 2 else cv2.transform(part, np.full((1, 3), 1.0 / 3.0, np.float32))
         return np.asarray(mean, dtype=np.float32) * np.float32(1.0 / self.full_scale)

@@ -400,7 +400,7 @@ def detect_stars(
 
 
 def _with_cores(stars: Stars, cores: ClippedCores, width: float) -> Stars:
-    """Return stars without the detections about clipped cores, and with these where they are like stars."""
+    """Remove detections about clipped cores, and add each core that is like a star as one clipped star."""
     if cores.radius.size == 0:
         return stars
     reach = cores.radius + 3.0 * width

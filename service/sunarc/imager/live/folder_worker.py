@@ -489,7 +489,7 @@ class FolderWorker:
             self._seen(one)
 
     def _of_this_camera(self, new: Sequence[_Dated]) -> list[_Dated]:
-        """Return the images whose names begin as those before; others only once these are all gone."""
+        """Return the images with the usual prefix of names; another prefix is taken once the usual one is gone."""
         kept = []
         for one in new:
             self._note_prefix(one.frame.prefix)

@@ -221,7 +221,7 @@ class _ProblemTransport:
         return getattr(self._transport, name)
 
     def write(self, data: bytes) -> None:
-        """Write an answer that is not a refusal of uvicorn's."""
+        """Write an answer, except for uvicorn's refusal in plain text, which `close` replaces."""
         self._refused = self._refused or (data.startswith(b"HTTP/1.1 400 ") and b"text/plain" in data)
         if not self._refused:
             self._transport.write(data)
