@@ -29,7 +29,7 @@ from sunarc.imaging.obstructions import (
     obstruction_mask,
     updated_sums,
 )
-from sunarc.public.star_files import StarOptions, read_timed
+from sunarc.public.star_files import StarOptions, read_time, read_timed
 from sunarc.sky.sun import sun_directions
 
 _STATES = {"free": FREE, "unknown": UNKNOWN, "soiled": SOILED, "hidden": HIDDEN}
@@ -67,12 +67,16 @@ def mask_of_files(paths: Sequence[Path], calibration: Calibration, options: Star
     sums, timed = no_sums(grid), []
     for path in paths:
         try:
-            timed.append((read_timed(path, options)[0], path))
+            timed.append((read_time(path, options), path))
         except (FindingError, InputError):
             counts["unread"] += 1
     for time, path in sorted(timed):
+        try:
+            image = read_timed(path, options)[1]
+        except (FindingError, InputError):
+            counts["unread"] += 1
+            continue
         sun = sun_directions(time.timestamp(), calibration.site)
-        image = read_timed(path, options)[1]
         sums = updated_sums(sums, image, grid, sun=np.asarray(sun), unix_s=time.timestamp())
     return _learned(sums, grid, calibration, counts + Counter(sums.counts))
 

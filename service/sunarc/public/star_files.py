@@ -276,17 +276,22 @@ def read_timed(path: Path, options: StarOptions) -> tuple[datetime, Image, Bayer
     The time of a header with an exposure is that of the middle. A pattern of names goes first.
     """
     source, name = Folder(name_text(path.parent)), name_text(path.name)
-    frame = _stated_frame(path, source, options.rules)
+    time = read_time(path, options)
     found = image_of(source, name)
     if isinstance(found, Finding):
         raise FindingError(name, found)
-    is_middle = frame.exposure_us is not None and frame.family in HEADER_FAMILIES.values()
-    time = frame.time if is_middle else frame.time + timedelta(seconds=options.to_middle_s)
     bayer = options.bayer
     if bayer is None and found.ndim == 2 and kind_of(path.name) == "fits":
         with opened(source, name) as file:
             bayer = fits_bayer(file, name)
     return time, found, bayer
+
+
+def read_time(path: Path, options: StarOptions) -> datetime:
+    """Return the middle of an image's exposure as `read_timed` does, without its pixels."""
+    frame = _stated_frame(path, Folder(name_text(path.parent)), options.rules)
+    is_middle = frame.exposure_us is not None and frame.family in HEADER_FAMILIES.values()
+    return frame.time if is_middle else frame.time + timedelta(seconds=options.to_middle_s)
 
 
 def _stated_frame(path: Path, source: Folder, rules: TimeRules) -> TimedFrame:

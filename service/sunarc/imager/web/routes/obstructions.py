@@ -11,6 +11,7 @@ from fastapi.responses import Response
 from pydantic import BaseModel, Field
 
 from sunarc.common.errors import NotFoundError
+from sunarc.common.utc import rfc3339
 from sunarc.imager.archive.obstructions import LearnedObstructions
 from sunarc.imager.web.context import ApiContext
 from sunarc.imager.web.problems import answers, described_answer
@@ -77,7 +78,7 @@ def obstruction_routes(context: ApiContext) -> APIRouter:
         profile = found.horizon
         return Horizon(
             calibration=found.calibration,
-            time=found.time.isoformat(timespec="seconds").replace("+00:00", "Z"),
+            time=rfc3339(found.time, timespec="seconds"),
             azimuth_deg=list(range(360)),
             elevation_deg=[None if np.isnan(one) else round(one, 2) for one in profile.elevation_deg.tolist()],
             sigma_deg=[round(one, 2) for one in profile.sigma_deg.tolist()],
