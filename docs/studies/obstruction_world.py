@@ -130,7 +130,7 @@ class World:
         self.lamp = window & (np.sin(columns * 5.9 + rows * 38.2) > 0.8)
 
     def truth(self, *, crane: bool) -> NDArray[np.bool_]:
-        """Return what hides the sky."""
+        """Return the obstructions of the sky."""
         return np.asarray((self.tree | self.house | self.mast | (self.crane if crane else False)) & self.field)
 
     def horizon_deg(self, *, crane: bool = False, azimuth_deg: Array | None = None) -> Array:
@@ -189,7 +189,7 @@ class World:
         return np.clip((picked.astype(np.float64) - level) * (0.9 if cover < 1 else 0.25), 0.0, 1.5)
 
     def _ground(self, time: datetime, weather: Weather, light: Array) -> Array:
-        """Return the radiance of what stands around: lit by the sky's mean and, where they face it, by the sun."""
+        """Return the radiance of the surroundings: lit by the sky's mean and, where they face it, by the sun."""
         sun = self.sun(time)
         height = math.degrees(math.asin(sun[2]))
         day = float(np.interp(height, [-18, -6, 0, 10, 60], [1e-6, 3e-4, 0.05, 0.35, 1.0]))

@@ -82,7 +82,7 @@ class Learner:
             self.seconds.append(clock.process_time() - begun)
 
     def mask(self) -> ObstructionMask:
-        """Return the mask of what was shown."""
+        """Return the mask by the images shown so far."""
         return obstruction_mask(self.sums, self.grid)
 
     def iou(self, *, crane: bool = False) -> float:
@@ -166,7 +166,7 @@ def _days_until(learner: Learner, first: int, *, crane: bool, pictures: Path | N
 
 
 def week(world: World, weather: Weather) -> str:
-    """Return what a week of one weather makes, and what it has called hidden once a clear day follows."""
+    """Return the mask of a week of one weather, and its hidden part once a clear day follows."""
     learner = Learner(world)
     for day in range(7):
         learner.day(day, [weather], every_min=20.0)

@@ -179,7 +179,7 @@ def _day(rng: np.random.Generator, place: Place, noon: float, case: Case) -> tup
 
 
 def judged(archive: Archive) -> Counter[str]:
-    """Return what the analysis of an archive says, against the truth."""
+    """Return the results of the analysis of an archive, against the truth."""
     place = archive.place
     site = Site(latitude=place.latitude, longitude=place.longitude, altitude=place.altitude)
     given = CameraSightings(archive.points, ArchiveCamera(site, (SIZE, SIZE), CalibrationOptions()))

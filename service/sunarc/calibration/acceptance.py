@@ -100,7 +100,7 @@ class Succession:
     current: Calibration | None = None
     """The one in use, without the clock's error that is stated for all sightings; None without one."""
     same_pose: bool = True
-    """Whether both are of the same pose epoch; if not, agreement is not asked for."""
+    """True where both are of the same pose epoch; else agreement is not asked for."""
     unseen: Sightings | None = None
     """Sightings of the current pose epoch, of days that the current one does not know."""
 
