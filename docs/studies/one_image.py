@@ -40,6 +40,7 @@ KINDS = {
 }
 FALSE = {
     "overcast: hot pixels, lamps, edges": world.Sky(stars=False, hot=120, lamps=20, edges=120, faint=60),
+    "overcast: hot pixels, cosmic rays": world.Sky(stars=False, hot=60, rays=300, faint=0),
     "overcast: text, trails, few lights": world.Sky(stars=False, hot=15, lamps=8, text=30, trail=3, faint=15),
 }
 WRONG = {  # hours of the clock, degrees of latitude and longitude

@@ -154,6 +154,7 @@ class Sky:
     edges: int = 0
     trail: int = 0
     text: int = 0
+    rays: int = 0
     stars: bool = True
 
 
@@ -226,6 +227,8 @@ def _false(
     parts = [(in_circle(sky.faint), rng.uniform(sky.limit - 1.0, sky.limit + 0.3, sky.faint))]
     parts.append((rng.uniform(0.0, 1.0, (sky.hot, 2)) * size, rng.uniform(1.0, 6.0, sky.hot)))
     parts.append((in_circle(sky.lamps, least=0.88), rng.uniform(-1.0, 3.0, sky.lamps)))
+    # cosmic rays: anywhere, and as many of each brightness as there are stars
+    parts.append((rng.uniform(0.0, 1.0, (sky.rays, 2)) * size, sky.limit + 2.0 * np.log10(rng.uniform(size=sky.rays))))
     for _ in range(sky.trail):
         begin, heading = in_circle(1)[0], rng.uniform(0.0, 2.0 * math.pi)
         step = np.array([math.cos(heading), math.sin(heading)]) * rng.uniform(5.0, 15.0)

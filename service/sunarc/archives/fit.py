@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial, reduce
@@ -326,6 +327,16 @@ class Final(NamedTuple):
     path: IntArray
     fitted: dict[int, FittedPose]
 
+    def with_calibrations(self) -> Final:
+        """Return the outcome without epochs of poses that have neither sun nor star."""
+        kept = tuple(one for one in self.epochs if self.states[one.state].pose in self.fitted)
+        return self._replace(epochs=kept)
+
+
+def without_suns(rough: Rough) -> Final:
+    """Return the outcome of a camera of which no sun is accepted: its calibrations are those of the stars."""
+    return Final(rough.states, rough.epochs, np.zeros(0, dtype=np.int64), {})
+
 
 def first_analysis(given: CameraSightings) -> Rough:
     """Return the states and epochs of a camera by its first pass.
@@ -338,6 +349,8 @@ def first_analysis(given: CameraSightings) -> Rough:
     alternate = alternation(given.points, found.states, given.camera)
     if alternate is not None:
         return Rough(findings=(alternate,))
+    if found.states and not len(given.points):  # the state that is known holds
+        return Rough(found.states, (Epoch(0, "start", 0, -1, -math.inf, math.inf),))
     epochs, path = find_epochs(given.points, found.states, given.camera)
     states = list(found.states) if given.states else with_true_clock(found.states, path, given.camera.site)
     largest = max(range(len(states)), key=lambda number: int((path == number).sum()))
@@ -561,8 +574,27 @@ class Starry(NamedTuple):
 def starry_analysis(of: Starry) -> Final:
     """Return epochs and calibrations with those calibrations that are better fitted to suns and stars."""
     final, given = of.final, of.given
+    if not len(given.points):
+        return final._replace(fitted=_fit_stars(of.stars, final.states, given.camera))
     both = fit_poses(given.points, final.path, final.states, given.camera, stars=of.stars)
     return final._replace(fitted=better_of(final.fitted, both))
+
+
+def _fit_stars(stars: Sightings, states: Sequence[State], camera: ArchiveCamera) -> dict[int, FittedPose]:
+    """Return the calibration of each pose by its stars alone, by its number; their hand is not in doubt."""
+    fitted = {}
+    for state in states:
+        of_pose = stars.select(stars.epoch == state.pose)
+        if len(of_pose) == 0 or state.pose in fitted:
+            continue
+        of_pose = replace(of_pose, epoch=np.zeros(len(of_pose), dtype=np.int64))
+        used = of_pose.select(surest_of_epochs(of_pose.pixels, of_pose.sigma_px, of_pose.epoch, camera.size))
+        start = state.calibration.camera
+        hand: Mirrored = "yes" if start.mirrored else "no"
+        options = replace(camera.options, mirrored=hand)
+        solved = calibrate(used, site=camera.site, image_size=camera.size, options=options, start=start)
+        fitted[state.pose] = FittedPose(solved, np.zeros(0, dtype=np.int64), used)
+    return fitted
 
 
 def kept_provisional(final: Final, camera: ArchiveCamera) -> Final:

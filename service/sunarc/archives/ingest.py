@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -18,9 +17,8 @@ from sunarc.archives.ingest_summary import IngestSummary, write_contact_sheet
 from sunarc.archives.ledger import ANY, ImageId, KeptMask, Known
 from sunarc.archives.passes import Found, FoundSun, Looked, Passes, epoch_at, id_of, predictions, scatter_beyond_px
 from sunarc.archives.pool import ProcessRunner
-from sunarc.archives.states import ArchiveCamera, Epoch, State, disagreeing_days
+from sunarc.archives.states import ArchiveCamera, Epoch, State, disagreeing_days, known_state
 from sunarc.calibration.model.options import ImageCircle
-from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.common.findings import Finding
 from sunarc.common.foreign_files import is_regular, name_path, name_text
@@ -200,18 +198,8 @@ def _camera(store: FolderLedger) -> ArchiveCamera:
 def _first_analysis(store: FolderLedger, points: Sightings, camera: ArchiveCamera) -> Rough:
     """Return the states and epochs that explain sightings; the calibration that is served is tried first."""
     served = store.archive.calibrations.current_model(store.settings.name)
-    known = () if served is None else (_served_state(served, points),)
-    rough = first_analysis(CameraSightings(points, camera, known))
-    if rough.states and not rough.epochs:  # no sighting was accepted: the state that is known holds
-        return rough._replace(epochs=(Epoch(0, "start", 0, -1, -math.inf, math.inf),))
-    return rough
-
-
-def _served_state(served: Calibration, points: Sightings) -> State:
-    """Return the state of a calibration that is served, whose sightings scatter as they state, or as its own did."""
-    stated = points.sigma_px[np.isfinite(points.sigma_px)]
-    sigma_px = max(float(np.nan_to_num(served.evidence.sigma_px)), float(np.median(stated)) if stated.size else 0.0)
-    return State(served, 0, 0, 0.0, sigma_px)
+    known = () if served is None else (known_state(served, points),)
+    return first_analysis(CameraSightings(points, camera, known))
 
 
 def _refused_epochs(store: FolderLedger, points: Sightings, rough: Rough, camera: ArchiveCamera) -> dict[int, Finding]:

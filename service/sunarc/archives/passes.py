@@ -454,5 +454,7 @@ def _step(value: float, step: float = _STRETCH_STEP) -> float:
 def _motion_deg(camera: CameraImages) -> float:
     """Return the largest angle between the suns of some images."""
     some = camera.images[:: len(camera.images) // _MASK_IMAGES + 1]
+    if not some:
+        return 0.0
     directions = sun_directions(np.array([image.unix_s for image in some]), camera.plan.site)
     return float(np.degrees(np.arccos(np.clip(directions @ directions.T, -1.0, 1.0)).max()))

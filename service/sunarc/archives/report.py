@@ -228,7 +228,7 @@ def _days(result: CameraResult) -> str:
 
 def _pictures(result: CameraResult) -> str:
     """Return a picture of each epoch with the sun's track of its day, by the epoch's calibration."""
-    figures = [_figure(result, n, epoch) for n, epoch in enumerate(result.epochs)]
+    figures = [_figure(result, n, epoch) for n, epoch in enumerate(result.epochs) if epoch.last >= epoch.first]
     return "".join(figures)
 
 

@@ -17,17 +17,23 @@ from sunarc.archives.fit import (
     first_analysis,
     kept_provisional,
     starry_analysis,
+    without_suns,
 )
 from sunarc.archives.ledger import Ledger
 from sunarc.archives.nights import NightsLooked, name_stars, nights_of, star_points
 from sunarc.archives.passes import Looked, Passes, epoch_at, predictions, without_lifted
 from sunarc.archives.report import write_report
 from sunarc.archives.results import CameraResult, Summary, SunHorizon, learn_horizon, write_results
-from sunarc.archives.states import ArchiveCamera
+from sunarc.archives.star_start import CameraNightImages, first_by_stars
+from sunarc.archives.states import ArchiveCamera, known_state
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.quality.fit_checks import unstated_tilt_deg
+from sunarc.calibration.quality.tilt import proposed_limit_deg
 from sunarc.common.errors import InputError, disk_errors
 from sunarc.common.findings import Finding, headline_of
 from sunarc.imager.archive.database.state_folder import lock_state
 from sunarc.imager.runtime.clock import Clock
+from sunarc.public.calibration_files import read_calibration
 from sunarc.sources.index import CameraImages, Indexed, ReportProgress
 
 _ANOTHER = "wait for that run to end, or give another folder (-o)"
@@ -87,12 +93,13 @@ def reanalyse(
     with disk_errors(options.target):
         options.target.mkdir(parents=True, exist_ok=True)
     store = options.store or f"sqlite:///{options.target / 'ledger.sqlite'}"
+    given = [_given(one) for one in indexed.cameras]
     with (
         lock_state(options.target, remedy=_ANOTHER),
         Ledger(store) as ledger,
         ClusterWhenNeeded(partial(open_cluster, options.workers, clock=clock), opened) as cluster,
     ):
-        results = _results(indexed.cameras, Passes(ledger, cluster, progress), ledger)
+        results = _results(indexed.cameras, given, Passes(ledger, cluster, progress), ledger)
         if options.provisional:
             results = [_kept_provisional(one) for one in results]
         summary = write_results(
@@ -103,13 +110,16 @@ def reanalyse(
     return summary
 
 
-def _results(cameras: Sequence[CameraImages], passes: Passes, ledger: Ledger) -> list[CameraResult]:
+def _results(
+    cameras: Sequence[CameraImages], started: Sequence[Calibration | None], passes: Passes, ledger: Ledger
+) -> list[CameraResult]:
     names, each = [one.plan.name for one in cameras], passes.cluster.each
     masks = passes.masks(cameras)
     searched = passes.search(cameras, masks)
-    given = [CameraSightings(looked.points()[0], _known(one)) for one, looked in zip(cameras, searched, strict=True)]
+    given = [_sightings(*one) for one in zip(cameras, searched, started, strict=True)]
     passes.progress("epochs", 0, len(cameras))
     rough = [one or Rough(findings=(_DIED,)) for one in ledger.each(each, first_analysis, given, names=names)]
+    rough = _by_stars(cameras, given, rough, passes, ledger)
     passes.progress("epochs", len(cameras), len(cameras))
     found = [n for n, one in enumerate(rough) if one.states]
     expected = (predictions(cameras[n], rough[n].states, rough[n].epochs) for n in found)
@@ -117,8 +127,9 @@ def _results(cameras: Sequence[CameraImages], passes: Passes, ledger: Ledger) ->
     looked = dict(zip(found, passes.predict(waiting, expected, [masks[n] for n in found]), strict=True))
     again = {n: CameraSightings(looked[n].points()[0], given[n].camera, rough[n].states) for n in found}
     passes.progress("calibrations", 0, len(found))
-    fitted = ledger.each(each, final_analysis, list(again.values()), names=[names[n] for n in found])
-    final = dict(zip(found, fitted, strict=True))
+    sunny = [n for n in found if len(again[n].points)]
+    fitted = ledger.each(each, final_analysis, [again[n] for n in sunny], names=[names[n] for n in sunny])
+    final = {n: without_suns(rough[n]) for n in found} | dict(zip(sunny, fitted, strict=True))
     held = {n: _of_accepted_epochs(searched[n], looked[n], one) for n, one in final.items() if one is not None}
     fewer = [n for n, one in held.items() if one.found != looked[n].found]
     looked |= held
@@ -128,6 +139,7 @@ def _results(cameras: Sequence[CameraImages], passes: Passes, ledger: Ledger) ->
     passes.progress("calibrations", len(found), len(found))
     nights = _nights(cameras, final, passes)
     final |= _with_stars(nights, final, again, passes, ledger)
+    final = {n: None if one is None else one.with_calibrations() for n, one in final.items()}
     return [
         CameraResult(
             camera=camera,
@@ -144,7 +156,7 @@ def _results(cameras: Sequence[CameraImages], passes: Passes, ledger: Ledger) ->
 
 def _of_accepted_epochs(searched: Looked, looked: Looked, final: Final) -> Looked:
     """Return the second pass without the suns that only the prediction of a refused epoch has accepted."""
-    if not final.epochs:
+    if not final.fitted:
         return looked
     accepted = [final.fitted[final.states[one.state].pose].calibration.verdict.accepted for one in final.epochs]
     refused = [not accepted[epoch_at(final.epochs, image.unix_s)] for image in looked.images]
@@ -184,11 +196,59 @@ def _with_stars(
     return {number: one for number, one in zip(starry, fitted, strict=True) if one is not None}
 
 
+def _given(camera: CameraImages) -> Calibration | None:
+    """Return the calibration that a camera's search begins with; InputError where it is of images of another size."""
+    if camera.plan.calibration is None:
+        return None
+    found = read_calibration(camera.plan.calibration)
+    size = (found.camera.width, found.camera.height)
+    if size != camera.size:
+        raise InputError(
+            field=str(camera.plan.calibration),
+            problem=f"is of {size} px, the images of {camera.plan.name} of {camera.size}",
+            remedy="give the calibration of this camera",
+        )
+    return replace(found, site=camera.plan.site)
+
+
+def _sightings(camera: CameraImages, looked: Looked, given: Calibration | None) -> CameraSightings:
+    """Return a camera's sightings; where it is given, with its state, whose tilt is then known."""
+    points, known = looked.points()[0], _known(camera)
+    if given is None:
+        return CameraSightings(points, known)
+    tilt_deg = unstated_tilt_deg(given) if given.verdict.accepted else None
+    if known.options.level_within_deg is None and tilt_deg is not None:
+        options = replace(known.options, level_within_deg=proposed_limit_deg(tilt_deg))
+        known = known._replace(options=options)
+    return CameraSightings(points, known, (known_state(given, points),))
+
+
+def _by_stars(
+    cameras: Sequence[CameraImages],
+    given: Sequence[CameraSightings],
+    rough: Sequence[Rough],
+    passes: Passes,
+    ledger: Ledger,
+) -> list[Rough]:
+    """Return states and epochs, those of cameras without a sun by the stars of their nights."""
+    dark = [n for n, one in enumerate(cameras) if one.nights and not (rough[n].states and one.images)]
+    nights = [CameraNightImages(cameras[n].nights, given[n].camera, given[n].states) for n in dark]
+    found = ledger.each(passes.cluster.each, first_by_stars, nights, names=[cameras[n].plan.name for n in dark])
+    started = dict(zip(dark, found, strict=True))
+    return [_or_by_stars(one, started.get(n), suns=bool(cameras[n].images)) for n, one in enumerate(rough)]
+
+
+def _or_by_stars(rough: Rough, stars: Rough | None, *, suns: bool) -> Rough:
+    if stars is None or stars.states:
+        return stars or rough
+    return rough if suns else stars
+
+
 def _known(camera: CameraImages) -> ArchiveCamera:
     return ArchiveCamera(camera.plan.site, camera.size, camera.plan.options)
 
 
 def _horizon(camera: CameraImages, looked: Looked, final: Final | None) -> SunHorizon | None:
-    if final is None or not final.epochs:
+    if final is None or not final.epochs or not camera.images:
         return None
     return learn_horizon(looked, predictions(camera, final.states, final.epochs), camera.size)

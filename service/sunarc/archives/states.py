@@ -90,6 +90,13 @@ class State(NamedTuple):
     sigma_px: float
 
 
+def known_state(calibration: Calibration, points: Sightings) -> State:
+    """Return the state of a given calibration, whose sightings scatter as they state, or as its own did."""
+    stated = points.sigma_px[np.isfinite(points.sigma_px)]
+    own_px = float(np.nan_to_num(calibration.evidence.sigma_px))
+    return State(calibration, 0, 0, 0.0, max(own_px, float(np.median(stated)) if stated.size else 0.0))
+
+
 class ArchiveCamera(NamedTuple):
     """Description of a camera: site, image size (width, height), options of its fit, and its image circle."""
 

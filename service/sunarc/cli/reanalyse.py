@@ -41,6 +41,7 @@ from sunarc.common.foreign_files import name_text
 from sunarc.common.messages import counted, significant
 from sunarc.imager.runtime.clock import SystemClock
 from sunarc.optics.projections import PROJECTIONS
+from sunarc.public.calibration_files import read_calibration
 from sunarc.sky.site import Site
 from sunarc.sources.detect_files import METHODS
 from sunarc.sources.image_times import TimeRules, utc_offset_of
@@ -82,6 +83,9 @@ def reanalyse_archive(
         str | None,
         typer.Option(help="How far times without a zone are ahead of UTC: hours, 0, or a zone as Europe/Berlin."),
     ] = None,
+    calibration: Annotated[
+        Path | None, typer.Option(help="A calibration document (JSON) that the search for epochs begins with.")
+    ] = None,
     method: DetectionMethod = "auto",
     projection: ProjectionOption = None,
     mirrored: MirroredOption = None,
@@ -108,7 +112,7 @@ def reanalyse_archive(
     """
     common = CameraPlan(
         name="camera",
-        site=_site(*angles_of(latitude, longitude), altitude, cameras),
+        site=_site(*angles_of(latitude, longitude), altitude, cameras, calibration),
         selector=Selector(tuple(one if "://" in one else name_text(one) for one in sources or ())),
         rules=TimeRules(
             _common_pattern(time_pattern),
@@ -122,9 +126,11 @@ def reanalyse_archive(
             level_within_deg=level_within,
         ),
         clock_error_s=clock_error,
+        calibration=calibration,
         stacks=True,
     )
-    missing = [name for name, given in (("latitude", latitude), ("longitude", longitude)) if given is None]
+    stated = (("latitude", latitude or calibration), ("longitude", longitude or calibration))
+    missing = [name for name, given in stated if given is None]
     plans = _plans(common) if cameras is None else read_cameras(cameras, common=common, required=missing)
     plans = _with_patterns(plans, time_pattern or [])
     indexed = index_archive(plans)
@@ -153,7 +159,11 @@ def reanalyse_archive(
         raise typer.Exit(1)
 
 
-def _site(latitude: float | None, longitude: float | None, altitude: float, cameras: Path | None) -> Site:
+def _site(
+    latitude: float | None, longitude: float | None, altitude: float, cameras: Path | None, calibration: Path | None
+) -> Site:
+    if latitude is None and longitude is None and calibration is not None:
+        return read_calibration(calibration).site
     if (latitude is None or longitude is None) and cameras is None:
         missing = "--latitude" if latitude is None else "--longitude"
         raise InputError(field=missing, problem="missing", remedy="give it, or --cameras FILE that has it")
@@ -214,7 +224,8 @@ def _confirm(indexed: Indexed, *, yes: bool) -> None:
         width, height = one.size
         sources = one.plan.selector.sources
         of_days = f" in {len(sources)} sources by date" if len(sources) > 1 else ""
-        seen = f"{counted(len(one.images), 'image')} of {width}x{height} px{of_days}; times by {one.family}"
+        nights = f" and {len(one.nights)} of the night" if one.nights else ""
+        seen = f"{counted(len(one.images), 'image')}{nights} of {width}x{height} px{of_days}; times by {one.family}"
         print(f"camera {one.plan.name}: {seen}: {one.example[0]} is {one.example[1]}", file=sys.stderr)
     for failure in (*indexed.refused, *indexed.failures[:_LISTED]):
         print_sentence(f"left out {failure.file}: {failure.finding.sentence}", file=sys.stderr)

@@ -122,6 +122,7 @@ class CameraPlan:
     method : see `detect_in_image`.
     options : how it is calibrated.
     clock_error_s : bound of the error of its times, s; None where none is stated.
+    calibration : file of the document that the search for its states begins with; None for none.
     largest_zenith_deg : apparent zenith angle of the sun beyond which an image is not one of the day.
     stacks : whether images of one time are exposures of one scene, with one sighting.
     one_by_one : whether each is a unit of work, so that a run that is ended loses few.
@@ -135,6 +136,7 @@ class CameraPlan:
     method: Method = "auto"
     options: CalibrationOptions = field(default_factory=CalibrationOptions)
     clock_error_s: float | None = None
+    calibration: Path | None = None
     largest_zenith_deg: float = 90.0
     stacks: bool = False
     one_by_one: bool = False
@@ -350,27 +352,23 @@ def _add(indexed: Indexed, plan: CameraPlan, members: list[_Found], notes: tuple
         indexed.refused.append(Failure(plan.name, Finding("cameras_mixed", mixed)))
         return
     indexed.failures.extend(Failure(one.name, _copy_of(one)) for one in copies)
-    # without images of the day there is no calibration that names the stars
     parts = _by_sun(images, plan, nights=True)
-    parts = parts if parts.day else _by_sun(images, plan, nights=False)
-    by_day = parts.day
+    usual = parts.day or parts.night
     indexed.failures.extend(Failure(one.name, finding) for one, finding in parts.dusk)
-    if not by_day:
-        zenith = np.median([float(finding.data["zenith_deg"]) for _, finding in parts.dusk])
-        seen = {"images": len(images), "zenith_deg": float(zenith)}
-        indexed.refused.append(Failure(plan.name, Finding("camera_at_night", seen)))
+    if not usual:
+        indexed.refused.append(Failure(plan.name, all_at_night(images, plan.site)))
         return
-    size = plan.image_size or _usual_size(by_day)
+    size = plan.image_size or _usual_size(usual)
     if size is None:
         indexed.refused.append(Failure(plan.name, Finding("camera_without_images")))
         return
-    first, orientation = members[0], _orientation(by_day)
+    first, orientation = members[0], _orientation(usual)
     example = (first.image.name, rfc3339(first.frame.time, timespec="seconds"))
     families = Counter(one.frame.family for one in members).most_common(1)
     indexed.cameras.append(
         CameraImages(
             plan=plan,
-            images=by_day,
+            images=parts.day,
             example=example,
             family=families[0][0],
             size=size,
@@ -409,6 +407,12 @@ def zeniths_deg(images: Sequence[ArchiveImage], site: Site) -> list[float]:
 def at_night(zenith_deg: float) -> Finding:
     """Return why an image is left out at whose time the sun was too low."""
     return Finding("file_at_night", {"zenith_deg": zenith_deg})
+
+
+def all_at_night(images: Sequence[ArchiveImage], site: Site) -> Finding:
+    """Return that the sun was below the horizon in all of a camera's images, with its median zenith angle."""
+    zenith = float(np.median(zeniths_deg(images, site)))
+    return Finding("camera_at_night", {"images": len(images), "zenith_deg": zenith})
 
 
 def _single(
@@ -471,7 +475,7 @@ def _orientation(images: Sequence[ArchiveImage]) -> Finding | None:
 _NUMBERS = ("latitude", "longitude", "altitude")
 _KEYS = {
     "sources", "files", "utc_offset", "time_pattern", *_NUMBERS, "image_size", "projection", "mirrored", "level_within",
-    "method", "clock_error",
+    "method", "clock_error", "calibration",
 }  # fmt: skip
 
 
@@ -525,6 +529,7 @@ def _filled(name: str, table: Mapping[str, Any], common: CameraPlan, folder: Pat
         rules=rules,
         image_size=_get(table, "image_size", _size, common.image_size),
         clock_error_s=_get(table, "clock_error", clock_bound_s, common.clock_error_s),
+        calibration=_get(table, "calibration", lambda given: folder / str(given), common.calibration),
         method=_get(table, "method", _one_of("auto", "disc", "paper"), common.method),
         options=replace(
             common.options,
