@@ -207,7 +207,7 @@ def _days_of(seed: int) -> DailyRotations:
 
 def _steps(_: Given) -> Numbers:
     days = _days_of(4)
-    change = find_change(days, 10.0)
+    change = find_change(days)
     assert change is not None
     found = change[0]
     shown = as_shown(days, found.likeliest)

@@ -61,7 +61,7 @@ def calibrate(points: Sightings, **given: Unpack[FitInput]) -> Calibration:
         Where the image size is not a size.
     """
     lens = prepared(points, **given)
-    return lens.allowed_for(calibrate_chosen(lens))
+    return lens.allowed_for(calibrated(lens.job, lens.fitted))
 
 
 def prepared(
@@ -85,13 +85,11 @@ def prepared(
     )
 
 
-def calibrate_chosen(lens: ChosenLens) -> Calibration:
-    """Return the calibration with the chosen projection, without the objections of others."""
-    return _calibrated(lens.job, lens.fitted)
+def calibrated(job: Job, fitted: Fitted | None = None) -> Calibration:
+    """Return the calibration of a job whose projection is stated; by a part of the sightings where others contradict.
 
-
-def _calibrated(job: Job, fitted: Fitted | None = None) -> Calibration:
-    """Return the fit of a job; that of the day's sightings alone where those of the night would make it worse."""
+    `fitted` is its fit, where it is there already.
+    """
     problems = before_fit(job.usable, job.options)
     if problems:
         return refused(job, problems)
@@ -134,11 +132,11 @@ def _explained(calibration: Calibration, job: Job, fitted: Fitted | None) -> Cal
 
 def _of_one_kind(job: Job, found: Finding) -> Calibration:
     """Return the fit of the day's sightings; of the night's where the day's are at fault."""
-    day = _calibrated(job._replace(usable=of_one_kind(job.usable, found, night=False)))
-    night = _calibrated(job._replace(usable=of_one_kind(job.usable, found, night=True)))
+    day = calibrated(job._replace(usable=of_one_kind(job.usable, found, night=False)))
+    night = calibrated(job._replace(usable=of_one_kind(job.usable, found, night=True)))
     suns = job.usable.select(~job.usable.night)
     suns = replace(suns, sigma_px=job.points.sigma_px[suns.index])
     fault = day_contradicts_night(found, day, night, suns)
     if fault is None:
         return day
-    return _calibrated(job._replace(usable=of_one_kind(job.usable, fault, night=True)))
+    return calibrated(job._replace(usable=of_one_kind(job.usable, fault, night=True)))

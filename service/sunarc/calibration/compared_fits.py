@@ -36,7 +36,7 @@ def log_evidences_of_fits(fits: Mapping[Name, FitState]) -> dict[Name, float]:
     """Return the log evidence of each finished fit of the same sightings over the best one's, 0 for the best."""
     lenses = {name: ComparedLens(one.problem, one.observed, one.unknowns, one.grid) for name, one in fits.items()}
     best = fits[closest(lenses)]
-    return log_evidences(lenses, best.groups.bins, best.noise.information(best.observed))
+    return log_evidences(lenses, best.groups.bins, best.noise.information)
 
 
 def closest(lenses: Mapping[Name, ComparedLens]) -> Name:

@@ -90,20 +90,13 @@ def other_fits(other: Fitted, job: Job, *, compared: bool = True) -> tuple[Findi
     The latitude of the other sign goes first where a camera that is not mirrored fits there about as well: near the
     equator it mostly does not, and both latitudes would name each other.
     """
-    twin = _of_other_latitude(other, job) if other.start.hand == "yes" else None
-    found = other_hand_fits(job, other.start.hand, compared=compared)
-    return (found,) if twin is None else (twin, found)
-
-
-def other_hand_fits(job: Job, other: Hand, *, compared: bool) -> Finding:
-    """Return the finding that the sightings are of an image of another handedness, or of a site of another latitude.
-
-    `compared`: whether a camera of the stated handedness was found, too, and is far less probable.
-    """
-    return Finding(
+    hand = other.start.hand
+    twin = _of_other_latitude(other, job) if hand == "yes" else None
+    found = Finding(
         "other_handedness_fits" if compared else "other_handedness_alone_fits",
-        {"mirrored": other, "stated": _other(other), "latitude": -job.site.latitude},
+        {"mirrored": hand, "stated": _other(hand), "latitude": -job.site.latitude},
     )
+    return (found,) if twin is None else (twin, found)
 
 
 def fit_of_hand(job: Job, hand: Hand, *, than: float) -> Fitted | None:

@@ -162,19 +162,15 @@ class NoiseGroups(NamedTuple):
 class Noise:
     """The noise of each sighting, (n,): its scale for a relative sigma of 1, px; how much it counts, 0 to 1.
 
-    inflation (n,): by how much its variance grew because neighbours err alike. sigma_px: the scale of the track, which
-    comes first, in the middle of its heights; without a track, of all.
+    inflation (n,): by how much its variance grew because neighbours err alike. information (n,): px⁻², of each axis.
+    sigma_px: the scale of the track, which comes first, in the middle of its heights; without a track, of all.
     """
 
     scale: FloatArray
     weight: FloatArray
     inflation: FloatArray
+    information: FloatArray
     sigma_px: float
-
-    def information(self, observed: Sightings) -> FloatArray:
-        """Return (n,) px⁻²."""
-        variance = self.scale**2 * self.inflation
-        return np.asarray(observed.information * self.weight * INFORMATION_PER_WEIGHT / variance)
 
 
 def measured_noise(
@@ -201,7 +197,8 @@ def measured_noise(
         weight = tukey_weights(distance / scale, sigma=1.0)
     inflated = autocorrelation_inflation(residuals, weight > 0.0, groups.follows, groups.run)
     inflated = np.where(groups.alone, 1.0, inflated)
-    return Noise(scale=scale, weight=weight, inflation=inflated, sigma_px=float(at_mean[0]))
+    information = observed.information * weight * INFORMATION_PER_WEIGHT / (scale**2 * inflated)
+    return Noise(scale=scale, weight=weight, inflation=inflated, information=information, sigma_px=float(at_mean[0]))
 
 
 def _scale(distance: FloatArray, groups: NoiseGroups) -> FloatArray:

@@ -220,7 +220,7 @@ def compare_projections(job: Job) -> tuple[ProjectionChoice, dict[Projection, Fi
         lenses[name] = ComparedLens(problem, observed, problem.unknowns(cameras), grid_of(problem.template, options))
     best = lenses[closest(lenses)]
     noise = measured_noise(best.problem.residuals(best.unknowns, observed), observed, groups)
-    rough = log_evidences(lenses, groups.bins, noise.information(observed))
+    rough = log_evidences(lenses, groups.bins, noise.information)
     order = sorted(rough, key=lambda name: -rough[name])
     near = [name for k, name in enumerate(order) if k < 2 or rough[name] > -_NEAR]
     fits = {

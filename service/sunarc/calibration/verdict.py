@@ -11,11 +11,9 @@ from dataclasses import replace
 from functools import partial, reduce
 from typing import Any, Literal, NamedTuple
 
-import numpy as np
-
 from sunarc.calibration import acceptance
 from sunarc.calibration.acceptance import Succession
-from sunarc.calibration.answers.covariance import seen_sky, sigma_deg, without_clock
+from sunarc.calibration.answers.covariance import sky_share_within, without_clock
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration, Verdict, proof_of, refused_for, with_finding
 from sunarc.calibration.model.sightings import Sightings
@@ -301,9 +299,8 @@ def provisional(calibration: Calibration, *, limit_deg: float) -> Calibration:
     tilt_deg = of.unstated_tilt_deg(calibration)
     if tilt_deg is not None:
         return refused_for(calibration, Finding("provisional_tilted", {"tilt_deg": tilt_deg}))
-    seen = seen_sky(calibration.camera)
-    share = float(np.mean(sigma_deg(calibration, seen) <= limit_deg)) if len(seen) else 0.0
-    if share < _LEAST_SHARE:
+    share = sky_share_within(calibration, limit_deg)
+    if not share >= _LEAST_SHARE:
         return calibration
     found = Finding("provisional_where_sure", {"limit_deg": limit_deg, "share": share})
     kept = Verdict(accepted=False, marginal=True, findings=(found, *verdict.findings))

@@ -22,7 +22,7 @@ from sunarc.calibration.answers.error_model import (
     joint_covariance,
     predicted,
 )
-from sunarc.calibration.evidence import whitened
+from sunarc.calibration.evidence import DAYS, whitened
 from sunarc.calibration.model.pose_change import PoseChange, progress
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
@@ -124,7 +124,7 @@ _WINDOW, _HOP = 30, 15
 """Days of a long record that are compared at once, and from one such window to the next."""
 
 
-def find_change(days: DailyRotations, min_gain: float) -> tuple[PoseChange, bool] | None:
+def find_change(days: DailyRotations) -> tuple[PoseChange, bool] | None:
     """Return the step that explains a camera's daily rotations best; None where none does so clearly.
 
     Where no step does, but a slow turn, that is returned; or a step of the last days, and that it has too few days yet:
@@ -133,7 +133,6 @@ def find_change(days: DailyRotations, min_gain: float) -> tuple[PoseChange, bool
     Parameters
     ----------
     days : of at most some 60 days, without what is common to the neighbours.
-    min_gain : the least gain, natural logarithm.
     """
     n = len(days.day)
     if n < _FEWEST_BEFORE + _FEWEST_AFTER:
@@ -157,11 +156,11 @@ def find_change(days: DailyRotations, min_gain: float) -> tuple[PoseChange, bool
     is_step = tried.settling_days == 0.0
     recent = is_step & (tried.first > n - _FEWEST_AFTER)
     step, turn, newest = change(is_step & ~recent), change(~is_step), change(recent)
-    if newest.gain > max(min_gain, step.gain, turn.gain):
+    if newest.gain > max(DAYS.gain, step.gain, turn.gain):
         return newest, True
-    if step.gain >= min_gain:
+    if step.gain >= DAYS.gain:
         return replace(step, slower=turn), False
-    return (turn, False) if turn.gain >= min_gain else None
+    return (turn, False) if turn.gain >= DAYS.gain else None
 
 
 def as_shown(days: DailyRotations, change: PoseChange) -> PoseChange | None:

@@ -114,7 +114,7 @@ def _about(size: FloatArray, information: FloatArray, axis: FloatArray) -> tuple
     return float(axis @ information @ size) / weight, weight**-0.5
 
 
-def find_steps(cameras: Sequence[DailyRotations], *, min_gain: float = DAYS.gain) -> tuple[PoseChange | None, ...]:
+def find_steps(cameras: Sequence[DailyRotations]) -> tuple[PoseChange | None, ...]:
     """Return the change of each camera of a group of neighbours; None of one that shows none clearly.
 
     What all of them have in common on a day is not a camera's: refraction, a time server, a new version of the
@@ -124,13 +124,12 @@ def find_steps(cameras: Sequence[DailyRotations], *, min_gain: float = DAYS.gain
     Parameters
     ----------
     cameras : their rotations on days numbered alike, of at most some 60 days.
-    min_gain : the least gain, natural logarithm.
     """
     found: list[tuple[PoseChange, bool] | None] = [None] * len(cameras)
     remaining = list(cameras)
     for _ in cameras:
         steps = {
-            number: find_change(_beside_others(remaining, number), min_gain)
+            number: find_change(_beside_others(remaining, number))
             for number in range(len(cameras))
             if found[number] is None
         }

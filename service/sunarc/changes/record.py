@@ -18,7 +18,7 @@ from typing import NamedTuple, Unpack
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from sunarc.calibration.calibrate import FitInput, calibrate, calibrate_chosen, prepared
+from sunarc.calibration.calibrate import FitInput, calibrate, calibrated, prepared
 from sunarc.calibration.evidence import DAYS, RECORD
 from sunarc.calibration.lens_library.conditioning import with_lens
 from sunarc.calibration.lens_library.first_pose import first_pose
@@ -86,7 +86,7 @@ def calibrate_moved(points: Sightings, **given: Unpack[FitInput]) -> Moved:
     judged = partial(calibrate, **(given | {"options": options, "start": None}))
     # what is only compared with another need not explain its days
     fit = partial(judged, options=replace(options, max_unexplained=1.0), parts=False)
-    found, usable = calibrate_chosen(lens), usable.select(~usable.alone)
+    found, usable = calibrated(lens.job, lens.fitted), usable.select(~usable.alone)
     if not len(usable) or np.any(points.epoch != points.epoch[:1]) or options.method != "robust":
         return Moved(lens.allowed_for(found), points)
     begin: Camera | None = None

@@ -17,6 +17,7 @@ from sunarc.calibration.fit.robust_fit import FitState
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.noise import Noise, NoiseGroups
 from sunarc.calibration.solve.problem import Bins
+from sunarc.common.robust_statistics import INFORMATION_PER_WEIGHT
 
 FloatArray = NDArray[np.float64]
 
@@ -40,7 +41,13 @@ def _fit(
     system = linear_system(problem, seen, bins, at, information=information, basis=grid.basis)
     unknowns = most_probable_with_field(problem, system, SCALES).unknowns
     system = linear_system(problem, seen, bins, unknowns, information=information, basis=grid.basis)
-    noise = Noise(scale=np.full(n, stated_px), weight=np.ones(n), inflation=np.ones(n), sigma_px=stated_px)
+    noise = Noise(
+        scale=np.full(n, stated_px),
+        weight=np.ones(n),
+        inflation=np.ones(n),
+        information=seen.information * INFORMATION_PER_WEIGHT * information,
+        sigma_px=stated_px,
+    )
     usable = Sightings(
         index=np.arange(n),
         unix_s=np.arange(n, dtype=np.float64),

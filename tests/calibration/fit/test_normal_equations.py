@@ -9,7 +9,6 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 from tests.fixtures.calibration import (
-    log_evidences,
     numerical_derivative,
     observed,
     penalty,
@@ -22,7 +21,6 @@ from sunarc.calibration.fit.effects import with_effects
 from sunarc.calibration.fit.marginal_likelihood import Scales, marginal_fit
 from sunarc.calibration.fit.normal_equations import (
     LinearSystem,
-    converged_in_axes,
     linear_system,
     most_probable_with_field,
     system_about,
@@ -150,24 +148,6 @@ def test_where_a_solve_ends_its_fit_is_the_linear_one(
     assert np.max(np.abs(found.fit.unknowns - fit.unknowns) / sigma) < 1e-6
     np.testing.assert_allclose(found.fit.coefficients, fit.coefficients, atol=1e-5 * np.max(np.abs(fit.coefficients)))
     np.testing.assert_allclose(found.fit.cross, fit.cross, atol=1e-5 * np.max(np.abs(fit.cross)))
-
-
-def test_the_log_evidence_is_that_of_the_grid_but_for_a_constant(
-    system: LinearSystem, problem: FitProblem, at: FloatArray
-) -> None:
-    in_axes = system.in_field_axes(SCALES)[0]
-    differences = []
-    for shift in (0.0, 0.001, 0.01):
-        other = at.copy()
-        other[17] += shift
-        found = converged_in_axes(problem, in_axes, SCALES, other, steps=0)
-        assert np.array_equal(found.unknowns, other)
-        assert found.gain == 0.0
-        grid = {"amplitudes": SCALES[:1], "lengths": SCALES[1:2], "lens_scales": [SCALES[2:]]}
-        arrays = {name: np.array(values) for name, values in grid.items()}
-        expected = log_evidences(system.moved(problem, other).normal(), system.basis, **arrays)
-        differences.append(found.log_evidence - expected[0, 0, 0])
-    np.testing.assert_allclose(np.diff(differences), 0.0, atol=1e-6)
 
 
 def test_a_solve_from_its_own_answer_stays(system: LinearSystem, problem: FitProblem) -> None:

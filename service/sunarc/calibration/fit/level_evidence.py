@@ -100,6 +100,6 @@ def _log_evidence(fit: FitState, directions: FloatArray | None) -> float:
     if directions is None:
         return -math.inf
     observed, bins = replace(fit.observed, directions=directions), fit.groups.bins
-    information = fit.noise.information(fit.observed)
-    system = linear_system(fit.problem, observed, bins, fit.unknowns, information=information, basis=fit.grid.basis)
+    information, basis = fit.noise.information, fit.grid.basis
+    system = linear_system(fit.problem, observed, bins, fit.unknowns, information=information, basis=basis)
     return log_evidence(log_weights(system.normal(), fit.grid))

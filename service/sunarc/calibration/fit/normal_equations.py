@@ -134,15 +134,14 @@ def system_about(
 
 
 class Converged(NamedTuple):
-    """Point where the steps converged: the unknowns (p,), the linear fit from there, the gain, the log evidence.
+    """Point where the steps converged: the unknowns (p,), the linear fit from there, the gain.
 
-    The gain is of twice the log posterior; the evidence is about the unknowns, but for a constant of the scales.
+    The gain is of twice the log posterior.
     """
 
     unknowns: FloatArray
     fit: MarginalFit
     gain: float
-    log_evidence: float
 
 
 def most_probable_with_field(problem: FitProblem, system: LinearSystem, scales: Scales) -> Converged:
@@ -151,24 +150,11 @@ def most_probable_with_field(problem: FitProblem, system: LinearSystem, scales: 
     The weights stay: the rounds renew them.
     """
     in_axes, transform = system.in_field_axes(scales)
-    found = converged_in_axes(problem, in_axes, scales, system.at)
-    return found._replace(fit=found.fit.with_coefficients_on(transform))
-
-
-def converged_in_axes(
-    problem: FitProblem,
-    system: LinearSystem,
-    scales: Scales,
-    start: FloatArray,
-    *,
-    steps: int = _STEPS,
-) -> Converged:
-    """Return the point of `most_probable_with_field`, from a start, for a system in the field's axes."""
-    equations = _Equations.of(problem, system, scales)
-    at = np.array(start, dtype=np.float64)
+    equations = _Equations.of(problem, in_axes, scales)
+    at = np.array(system.at, dtype=np.float64)
     sums = equations.about(at)
     begin = sums.penalty
-    for _ in range(steps):
+    for _ in range(_STEPS):
         step, promise = sums.step()
         if promise < _LEAST_GAIN:
             break
@@ -184,8 +170,7 @@ def converged_in_axes(
                 break
         if not gain >= _LEAST_GAIN:
             break
-    fit, log_evidence = sums.converged(at, equations)
-    return Converged(at, fit, begin - sums.penalty, log_evidence)
+    return Converged(at, sums.fit(at, equations).with_coefficients_on(transform), begin - sums.penalty)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -271,25 +256,14 @@ class _Sums(NamedTuple):
             return np.zeros(scale.size), 0.0
         return step, float(step @ self.vector)
 
-    def converged(self, at: FloatArray, equations: _Equations) -> tuple[MarginalFit, float]:
-        """Return the linear fit from some unknowns, and their log evidence but for a constant (Laplace's)."""
+    def fit(self, at: FloatArray, equations: _Equations) -> MarginalFit:
+        """Return the linear fit from some unknowns."""
         covariance = inverses(self.matrix)
         step = covariance @ self.vector
-        gain = float(step @ self.vector)
-        fit = MarginalFit(
+        return MarginalFit(
             unknowns=at + step,
-            gain=gain,
+            gain=float(step @ self.vector),
             coefficients=equations.spread * (self.left - self.rows @ step),
             covariance=covariance,
             cross=-(covariance @ np.swapaxes(self.rows, -1, -2)) * equations.spread,
         )
-        determinant = float(log_determinants(self.matrix) - np.sum(np.log(equations.precision)))
-        return fit, -0.5 * (self.penalty - gain + determinant)
-
-
-def log_determinants(matrices: FloatArray) -> FloatArray:
-    """Return (...,): log determinants of positive matrices (..., p, p), with a ridge, see `RIDGE`; NaN for NaN."""
-    scale = 1.0 / np.sqrt(np.diagonal(matrices, axis1=-2, axis2=-1))
-    scaled = matrices * scale[..., :, None] * scale[..., None, :] + RIDGE * np.eye(matrices.shape[-1])
-    with np.errstate(invalid="ignore"):  # of a projection that cannot show the sightings nothing is a number
-        return np.asarray(np.linalg.slogdet(scaled)[1] - 2.0 * np.sum(np.log(scale), axis=-1))

@@ -44,7 +44,6 @@ from sunarc.calibration.noise import Noise, NoiseGroups, measured_noise
 from sunarc.calibration.solve.levenberg_marquardt import information as information_of
 from sunarc.calibration.solve.priors import DECENTERING, RADIAL, STRETCH, Whitened, with_wide_pixels
 from sunarc.calibration.solve.problem import FitProblem
-from sunarc.calibration.start import multistart
 from sunarc.calibration.start.initial_guess import single_problem
 from sunarc.calibration.start.multistart import SMALLEST_SIGMA_PX, best_of_starts, best_start, distance_sigmas, lowest
 from sunarc.common.array_types import BoolArray, FloatArray, IntArray
@@ -74,6 +73,7 @@ itself estimated."""
 _MEDIAN_OF_SIGMA = math.sqrt(2.0 * math.log(2.0))
 """Median distance of a round Gaussian over its 1-sigma per axis."""
 _FINEST = 0.9
+"""Share of the sightings that are no finer than those whose px counts in a level."""
 
 
 class AllowedLevel(NamedTuple):
@@ -108,7 +108,8 @@ def allowed_level(
     sigma : px, the noise.
     field_px : 1-sigma of the displacement outside the lens, by the data: the camera may miss them by `FIELD_EXCESS`
         times as much, `LENS_MISFIT_PX` of it counted at most.
-    weight : what a px counts in the distances, see `finest_weight`.
+    weight : what a px counts in the distances: beside 5,000 stars of 0.2 px a sun of 0.03 px counts six times, and so
+        does what a field moves it by.
     cost_ratio, median_ratio : by how much cost and median may be larger without a field.
     """
     missed = weight * FIELD_EXCESS * min(field_px, LENS_MISFIT_PX)
@@ -116,14 +117,6 @@ def allowed_level(
     counted = float(np.sum(distance < CUT * scales[1]))
     costs = cost_ratio * _costs(distance, scales) + counted * (missed / scales) ** 2
     return AllowedLevel(scales, costs, math.hypot(median_ratio * float(np.median(distance)), _MEDIAN_OF_SIGMA * missed))
-
-
-def finest_weight(observed: Sightings) -> float:
-    """Return the weight of a px in the weighted distances of the finest sightings: a field moves them as others.
-
-    Beside 5,000 stars of 0.2 px a sun of 0.03 px counts six times, and so does what a field moves it by.
-    """
-    return float(np.quantile(np.sqrt(observed.information), _FINEST))
 
 
 def _costs(distance: FloatArray, scales: FloatArray) -> FloatArray:
@@ -188,7 +181,7 @@ class FitState:
     @cached_property
     def system(self) -> LinearSystem:
         """The bins' equations about the unknowns."""
-        weighed = replace(self.observed, information=self.noise.information(self.observed))
+        weighed = replace(self.observed, information=self.noise.information)
         return system_about(self.problem, weighed, self.groups.bins, self.last_round, self.unknowns)
 
     @cached_property
@@ -253,8 +246,8 @@ def robust_rounds(
         plain = _begun(problem, observed, plain, name)
     state = _with_proven(_with_field(problem, observed, plain, grid, groups))
     # weighed before the camera's last step, which may bring the edge of what it shows past a low sun
-    shown = is_shown(state.residual)
-    noise = replace(state.noise, weight=state.noise.weight * shown)
+    noise, shown = state.noise, is_shown(state.residual)
+    noise = replace(noise, weight=noise.weight * shown, information=noise.information * shown)
     # a field that was bounded for the camera's sake is possible all the same
     return replace(state, noise=noise, grid=grid)
 
@@ -265,8 +258,8 @@ def _begun(problem: FitProblem, observed: Sightings, unknowns: FloatArray, name:
     Where the rounds begin without, residuals that are alike for a day or a season are noise that hides the block.
     """
     of_block = problem.block_slice(name)
-    distance = multistart.distance_sigmas(problem, observed, unknowns)
-    root = counted_roots(distance, observed.information, floor=multistart.SMALLEST_SIGMA_PX)
+    distance = distance_sigmas(problem, observed, unknowns)
+    root = counted_roots(distance, observed.information, floor=SMALLEST_SIGMA_PX)
     columns = problem.linearised(unknowns, observed)[1][:, :, of_block] * root[:, None, None]
     left = problem.residuals(unknowns, observed) * root[:, None]
     products = np.einsum("nap,naq->pq", columns, columns, optimize=True) + np.eye(columns.shape[2])
@@ -284,15 +277,16 @@ def _with_field(
     camera itself miss the sightings has taken over what the lens's parameters explain: it is bounded more tightly, and
     the rounds begin again.
     """
-    distance = multistart.distance_sigmas(problem, observed, plain)
+    distance = distance_sigmas(problem, observed, plain)
     share = surely_well_behaved(len(observed), problem.size - problem.n_unit)
-    sigma, weight = robust_sigma(distance, share=share, floor=multistart.SMALLEST_SIGMA_PX), finest_weight(observed)
+    sigma = robust_sigma(distance, share=share, floor=SMALLEST_SIGMA_PX)
+    weight = float(np.quantile(np.sqrt(observed.information), _FINEST))
     state = _rounds(problem, observed, plain, grid, groups)
     for _ in range(_FIELD_BOUNDS):
         level = allowed_level(
             distance, sigma=sigma, field_px=state.proven_field_px, weight=weight, cost_ratio=_FIELD_MAY_COST
         )
-        if level.reached_by(multistart.distance_sigmas(problem, observed, state.unknowns)):
+        if level.reached_by(distance_sigmas(problem, observed, state.unknowns)):
             break
         bounded = state.grid.up_to(_FIELD_SHRINKS * state.scales.amplitude_px)
         state = _rounds(problem, observed, plain, bounded, groups)
@@ -317,8 +311,7 @@ def _begin(
     scales = Scales(_FIRST_FIELD_PX, float(grid.lengths[0]), LOOSE_RADIAL_PX, LOOSE_DECENTERING_PX)
     residuals = problem.residuals(plain, observed)
     noise = measured_noise(residuals, observed, groups)
-    information = noise.information(observed)
-    system = linear_system(problem, observed, groups.bins, plain, information=information, basis=grid.basis)
+    system = linear_system(problem, observed, groups.bins, plain, information=noise.information, basis=grid.basis)
     marginal = marginal_fit(system.normal(), system.basis, scales)
     explained = system.rows @ (marginal.unknowns - system.at) + system.basis_values @ marginal.coefficients.T
     return FitState(
@@ -338,8 +331,7 @@ def _improved(state: FitState) -> FitState:
     """Return the state after a solve with the noise of its residuals, and the most probable scales."""
     problem, observed, grid, bins = state.problem, state.observed, state.grid, state.groups.bins
     noise = measured_noise(state.scatter, observed, state.groups, leverage=state.leverage)
-    information = noise.information(observed)
-    system = linear_system(problem, observed, bins, state.unknowns, information=information, basis=grid.basis)
+    system = linear_system(problem, observed, bins, state.unknowns, information=noise.information, basis=grid.basis)
     log_weight = log_weights(system.normal(), grid)
     scales = likely_scales(normalised(log_weight), grid)
     found = most_probable_with_field(problem, system, scales)

@@ -119,9 +119,11 @@ class JudgedFit(Given):
 # Sightings
 
 
-def not_moving(given: Given) -> Data:
-    """Return how many sightings stand still, and where."""
+def not_moving(given: Given) -> Data | None:
+    """Return how many sightings stand still, and where; None where none does."""
     n_static = sum(position.n for position in given.usable.filtering.static)
+    if not n_static:
+        return None
     return {"n": n_static, "n_all": len(given.usable) + n_static, "places": positions(given.usable)}
 
 

@@ -148,14 +148,9 @@ class FitProblem:
             )
         if not self.blocks:
             return residual
-        return np.where(residual == UNSEEN_PX, residual, residual - self.displaced(unknowns, observed))
-
-    def displaced(self, unknowns: FloatArray, observed: Sightings) -> FloatArray | float:
-        """Return the displacement of the detections by systematic errors, (n, 2) px; 0 without any."""
-        if not self.blocks:
-            return 0.0
         columns, sizes = self._columns(observed), unknowns[N_LENS + 3 * self.n_epochs :]
-        return np.asarray(columns.reshape(-1, sizes.size) @ sizes).reshape(columns.shape[:2])
+        displaced = (columns.reshape(-1, sizes.size) @ sizes).reshape(columns.shape[:2])
+        return np.where(residual == UNSEEN_PX, residual, residual - displaced)
 
     def beyond(self, unknowns: FloatArray, observed: Sightings) -> BoolArray:
         """Return (n,): which directions lie further off the axis than the fitted camera will answer."""

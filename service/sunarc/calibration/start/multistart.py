@@ -66,7 +66,9 @@ def best_start(problem: FitProblem, observed: Sightings, start: FloatArray, *, p
         other = plain.copy()
         other[Whitened.FOCAL_LENGTH] += step
         starts.append(least_squares(problem, fewer, other, tolerance=_NEAR))
-    starts.append(staged_least_squares(problem, fewer, start, tolerance=_NEAR))
+    for held in _STAGES:
+        plain = least_squares(problem, fewer, plain, tolerance=_NEAR, held=held)
+    starts.append(plain)
     for _ in range(_SETTLING):
         # those that have come to one place go on as one
         distinct = distinct_starts(problem, few, starts)
@@ -74,30 +76,27 @@ def best_start(problem: FitProblem, observed: Sightings, start: FloatArray, *, p
     return lowest(problem, observed, distinct_starts(problem, few, starts), precision=precision)
 
 
+_STAGES = ((RADIAL, DECENTERING), (DECENTERING,), ())
+"""Parts of the lens that are held in the paper's three stages (section 4.2): all at once, a distorted lens at a wrong
+tilt is a local minimum on a tilted camera's short arc."""
+
+
 def least_squares(
-    problem: FitProblem, observed: Sightings, start: FloatArray, *, tolerance: float = 1e-6
+    problem: FitProblem,
+    observed: Sightings,
+    start: FloatArray,
+    *,
+    tolerance: float = 1e-6,
+    held: tuple[slice, ...] = (),
 ) -> FloatArray:
-    """Return the unknowns (p,) of least squares over all sightings, none weighted down, hardly any prior."""
-    precision = loosened(problem)
-    return most_probable(problem, observed, start, precision=precision, iterations=25, tolerance=tolerance).unknowns
+    """Return the unknowns (p,) of least squares over all sightings, none weighted down, hardly any prior.
 
-
-def staged_least_squares(
-    problem: FitProblem, observed: Sightings, start: FloatArray, *, tolerance: float = 1e-6
-) -> FloatArray:
-    """Return the unknowns (p,) of `least_squares` in the paper's three stages (section 4.2), from an ideal lens.
-
-    First without distortion, then with the radial polynomial, then with decentering too: all at once, a distorted lens
-    at a wrong tilt is a local minimum on a tilted camera's short arc.
+    `held` are parts of the lens that do not move.
     """
-    unknowns = undistorted(start)
-    for held in ([RADIAL, DECENTERING], [DECENTERING], []):
-        precision = loosened(problem)
-        for part in held:
-            precision[part] = _FIXED
-        found = most_probable(problem, observed, unknowns, precision=precision, iterations=25, tolerance=tolerance)
-        unknowns = found.unknowns
-    return unknowns
+    precision = loosened(problem)
+    for part in held:
+        precision[part] = _FIXED
+    return most_probable(problem, observed, start, precision=precision, iterations=25, tolerance=tolerance).unknowns
 
 
 def loosened(problem: FitProblem) -> FloatArray:
