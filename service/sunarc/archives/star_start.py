@@ -47,9 +47,9 @@ class _Night(NamedTuple):
 
 
 def first_by_stars(given: CameraNightImages) -> Rough:
-    """Return the states and epochs that the stars of a camera's nights show, or the findings why there are none.
+    """Return the states and epochs that the stars of a camera's nights show, or the findings why they are missing.
 
-    A night belongs to the first state by which the stars of one of its images are named; where there is none, the
+    A night belongs to the first state by which the stars of one of its images are named; without such a state, the
     camera is sought in it without a start. Nights without stars belong to no state.
     """
     cv2.setNumThreads(1)
@@ -71,7 +71,7 @@ class _Search:
 
     Attributes
     ----------
-    nights : those that are looked at, the one with most images first in the search, all in the order of time.
+    nights : those by which the states are decided, in the order of time.
     states : known and found.
     refused : of nights without a state, why the camera was not found in them.
     """
