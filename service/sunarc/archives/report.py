@@ -14,7 +14,7 @@ import numpy as np
 
 import sunarc
 from sunarc.archives.passes import FoundSun
-from sunarc.archives.results import CameraResult, Summary, epoch_name
+from sunarc.archives.results import CameraResult, Summary
 from sunarc.archives.states import Epoch, State
 from sunarc.calibration.answers.covariance import sky_share_within
 from sunarc.common.array_types import FloatArray
@@ -104,7 +104,7 @@ def _camera(numbers: dict[str, Any], result: CameraResult) -> str:
     if result.final is None:
         return head + "<p>No calibration.</p>"
     line = time_line(
-        [(epoch_name(n), one.cause, one.start_unix_s, one.end_unix_s) for n, one in enumerate(result.epochs)]
+        [(result.epoch_name(n), one.cause, one.start_unix_s, one.end_unix_s) for n, one in enumerate(result.epochs)]
     )
     return (
         head
@@ -160,7 +160,7 @@ def _poses(result: CameraResult) -> str:
         angles = pose_angles(found.camera.rotation_cam_enu)
         rows.append(
             (
-                epoch_name(number),
+                result.epoch_name(number),
                 pose_text(found.camera),
                 *(f"{angle:.2f}" for angle in angles),
                 _number(found.sky_rms_deg),
@@ -232,16 +232,16 @@ def _pictures(result: CameraResult) -> str:
     return "".join(figures)
 
 
-def _figure(result: CameraResult, number: int, epoch: Epoch) -> str:
+def _figure(result: CameraResult, number: int, held: Epoch) -> str:
     assert result.final is not None  # noqa: S101 - the caller asked
     _, rows = result.looked.points()
-    image = result.looked.images[rows[(epoch.first + epoch.last) // 2]]
+    image = result.looked.images[rows[(held.first + held.last) // 2]]
     source = open_source(image.address)
     ((_, found),) = images_in(source, image.file, [image.number], size=result.camera.size)
     if isinstance(found, Finding):
         return ""
     picture = _eight_bits(found)
-    state = result.final.states[epoch.state]
+    state = result.final.states[held.state]
     track = image.unix_s - state.clock_offset_s + np.arange(-0.5 * DAY_S, 0.5 * DAY_S, _TRACK_S)
     pixels = project(state.calibration.camera, sun_directions(track, result.camera.plan.site))
     thickness = max(1, max(picture.shape[:2]) // 300)
@@ -250,9 +250,9 @@ def _figure(result: CameraResult, number: int, epoch: Epoch) -> str:
     scale = min(1.0, _PICTURE_PX / max(picture.shape[:2]))
     small = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     encoded = base64.b64encode(cv2.imencode(".jpg", small)[1].tobytes()).decode()
-    caption = f"{epoch_name(number)}: {image.name}"
+    epoch, caption = result.epoch_name(number), f"{result.epoch_name(number)}: {image.name}"
     return (
-        f'<figure><img alt="Sun\'s track in epoch {epoch_name(number)}" src="data:image/jpeg;base64,{encoded}">'
+        f'<figure><img alt="Sun\'s track in epoch {epoch}" src="data:image/jpeg;base64,{encoded}">'
         f"<figcaption>{escape(caption)}</figcaption></figure>"
     )
 
@@ -282,7 +282,10 @@ def _align(cell: object) -> str:
 # Drawings of the report as SVG: epochs on a time line, residuals over time.
 
 _WIDTH, _LEFT, _RIGHT = 960, 60, 12
-_COLOURS = {"start": "#4477aa", "moved": "#ee6677", "lens": "#aa3377", "clock": "#ccbb44", "unexplained": "#bbbbbb"}
+_COLOURS = {
+    "start": "#4477aa", "moved": "#ee6677", "lens": "#aa3377", "clock": "#ccbb44", "unexplained": "#bbbbbb",
+    "resized": "#66ccee",
+}  # fmt: skip
 """By the cause of an epoch: P. Tol's scheme, which people with a colour deficiency can tell apart."""
 _MOST_POINTS = 4000
 

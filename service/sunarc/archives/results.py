@@ -110,6 +110,7 @@ class CameraResult:
     rough, final : states and epochs after the first pass, and after the second; None where there was none.
     horizon : what hides the sun; None without epochs.
     nights : images of the night, and the stars that were named in them.
+    first_epoch : epochs of the camera before, in images of another size.
     """
 
     camera: CameraImages
@@ -119,11 +120,21 @@ class CameraResult:
     final: Final | None
     horizon: SunHorizon | None
     nights: NightsLooked
+    first_epoch: int = 0
 
     @property
     def name(self) -> str:
         """Of the camera."""
+        return self.camera.plan.part_of or self.camera.plan.name
+
+    @property
+    def part(self) -> str:
+        """Name of its images of one size."""
         return self.camera.plan.name
+
+    def epoch_name(self, number: int) -> str:
+        """Return the name of an epoch by its number, from 0."""
+        return f"{self.first_epoch + number + 1:03d}"
 
     @property
     def epochs(self) -> tuple[Epoch, ...]:
@@ -160,7 +171,7 @@ def write_results(
     ------
     OutsideError : something cannot be written.
     """
-    documents = {(one.name, epoch_name(n)): _document(one, n) for one in results for n in range(len(one.epochs))}
+    documents = {(one.name, one.epoch_name(n)): _document(one, n) for one in results for n in range(len(one.epochs))}
     with disk_errors(target):
         shutil.rmtree(target / "calibrations", ignore_errors=True)  # of a former run, perhaps with other epochs
         _write(target / "sightings.csv", _csv(_HEADER, [row for one in results for row in _sightings(one)]))
@@ -172,7 +183,7 @@ def write_results(
             _write(target / "calibrations" / camera / f"{epoch}.json", json_text(document).encode())
         for one in results:
             if one.horizon is not None:
-                _write(target / f"horizon_{one.name}.png", one.horizon.png)
+                _write(target / f"horizon_{one.part}.png", one.horizon.png)
         _write_detections(target / "detections", results, ledger)
         missing = _write_exports(target / "exports", documents if each is not None else {}, each, ledger)
     report = {
@@ -198,7 +209,7 @@ def _write_detections(folder: Path, results: Sequence[CameraResult], ledger: Led
     """
     if not is_installed("pyarrow"):
         return
-    made = {f"camera={one.name}": one for one in results}
+    made = {f"camera={one.part}": one for one in results}
     for former in folder.glob("camera=*"):
         if former.name not in made:
             shutil.rmtree(former)
@@ -218,7 +229,7 @@ def _detections(result: CameraResult, ledger: Ledger) -> dict[str, Sequence[obje
     columns: dict[str, list[object]] = {name: [None] * len(images) for name in ("verdict", "code", *_NUMBERS_FOUND)}
     accepted, predicted, open_rows = [False] * len(images), [False] * len(images), set(range(len(images)))
     for number in (PREDICTED, SEARCHED):
-        for image, known in ledger.answers(result.name, pass_number=number):
+        for image, known in ledger.answers(result.part, pass_number=number):
             row = row_of.get(image, -1)
             if (
                 row not in open_rows
@@ -261,11 +272,6 @@ def _parquet(columns: Mapping[str, Sequence[object]]) -> bytes:
     return target.getvalue()
 
 
-def epoch_name(number: int) -> str:
-    """Return the name of an epoch by its number, from 0."""
-    return f"{number + 1:03d}"
-
-
 def _document(result: CameraResult, number: int) -> Document:
     assert result.final is not None  # noqa: S101 - it has epochs
     epoch = result.final.epochs[number]
@@ -277,7 +283,7 @@ def _document(result: CameraResult, number: int) -> Document:
         result.looked.points()[0],
         epoch,
         camera=result.name,
-        name=epoch_name(number),
+        name=result.epoch_name(number),
         evidence=evidence,
         clock_error_s=result.camera.plan.clock_error_s,
     )
@@ -289,7 +295,7 @@ def _sightings(result: CameraResult) -> list[tuple[object, ...]]:
     if result.final is None:
         epochs, offsets, sigmas = [""] * len(rows), [0.0] * len(rows), points.sigma_px.tolist()
     else:
-        epochs = [epoch_name(n) for n, one in enumerate(result.epochs) for _ in range(one.first, one.last + 1)]
+        epochs = [result.epoch_name(n) for n, one in enumerate(result.epochs) for _ in range(one.first, one.last + 1)]
         offsets = [result.final.states[number].clock_offset_s for number in result.final.path.tolist()]
         sigmas = _sigmas(result, offsets).tolist()
     table = []
@@ -308,7 +314,7 @@ def _stars(result: CameraResult) -> list[tuple[object, ...]]:
     table = []
     for night, image, stars in result.nights.named():
         time = rfc3339(utc_time(image.unix_s - night.naming.clock_offset_s))
-        epoch = epoch_name(night.epoch)
+        epoch = result.epoch_name(night.epoch)
         table += [
             (result.name, time, image.name, x, y, sigma, body, "clear", epoch) for body, x, y, sigma in stars.rows
         ]
@@ -348,7 +354,7 @@ def _epochs(result: CameraResult, documents: Mapping[tuple[str, str], Document])
     rows = []
     for number, epoch in enumerate(result.epochs):
         assert result.final is not None  # noqa: S101 - it has epochs
-        name = epoch_name(number)
+        name = result.epoch_name(number)
         state = result.final.states[epoch.state]
         document = documents[result.name, name]
         rows.append(
@@ -412,7 +418,7 @@ def _nights(result: CameraResult) -> dict[str, int]:
 
 
 def _epoch_summary(result: CameraResult, number: int, documents: Mapping[tuple[str, str], Document]) -> Document:
-    document = documents[result.name, epoch_name(number)]
+    document = documents[result.name, result.epoch_name(number)]
     epoch = _epochs(result, documents)[number]
     return {
         **epoch,

@@ -140,18 +140,34 @@ def _results(
     nights = _nights(cameras, final, passes)
     final |= _with_stars(nights, final, again, passes, ledger)
     final = {n: None if one is None else one.with_calibrations() for n, one in final.items()}
-    return [
-        CameraResult(
-            camera=camera,
-            searched=searched[n],
-            looked=looked.get(n, searched[n]),
-            rough=rough[n],
-            final=final.get(n),
-            horizon=_horizon(camera, looked.get(n, searched[n]), final.get(n)),
-            nights=nights[n],
-        )
-        for n, camera in enumerate(cameras)
-    ]
+    return _numbered(
+        [
+            CameraResult(
+                camera=camera,
+                searched=searched[n],
+                looked=looked.get(n, searched[n]),
+                rough=rough[n],
+                final=final.get(n),
+                horizon=_horizon(camera, looked.get(n, searched[n]), final.get(n)),
+                nights=nights[n],
+            )
+            for n, camera in enumerate(cameras)
+        ]
+    )
+
+
+def _numbered(results: Sequence[CameraResult]) -> list[CameraResult]:
+    """Return results, those of a camera whose picture was resized with one numbering of epochs in the order of time."""
+    before: dict[str, int] = {}
+    numbered: dict[str, CameraResult] = {}
+    for one in sorted(results, key=lambda one: one.epochs[0].start_unix_s if one.epochs else 0.0):
+        numbered[one.part] = replace(one, first_epoch=before.get(one.name, 0))
+        if one.epochs and before.get(one.name) and one.final is not None:
+            first, *others = one.epochs
+            final = one.final._replace(epochs=(first._replace(cause="resized"), *others))
+            numbered[one.part] = replace(numbered[one.part], final=final)
+        before[one.name] = before.get(one.name, 0) + len(one.epochs)
+    return [numbered[one.part] for one in results]
 
 
 def _of_accepted_epochs(searched: Looked, looked: Looked, final: Final) -> Looked:
@@ -202,6 +218,8 @@ def _given(camera: CameraImages) -> Calibration | None:
         return None
     found = read_calibration(camera.plan.calibration)
     size = (found.camera.width, found.camera.height)
+    if size != camera.size and camera.plan.part_of is not None:
+        return None
     if size != camera.size:
         raise InputError(
             field=str(camera.plan.calibration),

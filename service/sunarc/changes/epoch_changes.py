@@ -31,7 +31,7 @@ from sunarc.sky.site import Site, pole_enu
 from sunarc.sky.sun import hour_angle, sun_directions
 
 StepCause = Literal["moved", "lens", "clock"]
-EpochCause = StepCause | Literal["start", "unexplained"]
+EpochCause = StepCause | Literal["start", "unexplained", "resized"]
 N_TURN = 3
 _STEPS: tuple[StepCause, ...] = ("clock", "moved", "lens")
 _OF_POSE_OR_LENS = _STEPS[1:]

@@ -115,6 +115,7 @@ class CameraPlan:
     Attributes
     ----------
     name : of its folder in the output.
+    part_of : the camera whose images of one size these are; None where all have one size.
     site : where it stands.
     selector : which files are its.
     rules : how times are read.
@@ -138,6 +139,7 @@ class CameraPlan:
     clock_error_s: float | None = None
     calibration: Path | None = None
     largest_zenith_deg: float = 90.0
+    part_of: str | None = None
     stacks: bool = False
     one_by_one: bool = False
 
@@ -228,9 +230,10 @@ def index_archive(plans: Sequence[CameraPlan]) -> Indexed:
 def _by_size(
     plan: CameraPlan, members: list[_Found], taken: Container[str]
 ) -> Iterator[tuple[CameraPlan, list[_Found], tuple[Finding, ...]]]:
-    """Yield images by their size where that changed, the most frequent one first; each is a camera with its own lens.
+    """Yield images by their size where that changed, the most frequent one first; each with a lens of its own.
 
-    Images of a size that hardly any has stay with the first, which refuses them.
+    Where one size follows the other they are states of one camera, else those of several. Images of a size that hardly
+    any has stay with the first, which refuses them.
     """
     some = _sampled([one.image for one in members])
     sampled = Counter(map(_size_of, some))
@@ -248,10 +251,18 @@ def _by_size(
     usual, *rest = sorted(large, key=lambda size: -len(large[size]))
     changed = tuple(_resized(size, large[size]) for size in rest)
     few = [one for size, found in of_size.items() if size not in large for one in found]
-    yield replace(plan, image_size=usual), [*large[usual], *few], changed
+    of = plan.name if _is_one_after_the_other(list(large.values())) else None
+    parts = [(replace(plan, image_size=usual, part_of=of), [*large[usual], *few], changed)]
     for size, finding in zip(rest, changed, strict=True):
-        name = new_camera_name(f"{plan.name}-{finding.data['width']}x{finding.data['height']}", taken=taken)
-        yield replace(plan, name=name, image_size=size), large[size], (finding,)
+        name = new_camera_name(f"{plan.name}-{size[0]}x{size[1]}", taken=taken)
+        parts.append((replace(plan, name=name, image_size=size, part_of=of), large[size], (finding,)))
+    yield from parts if of is None else sorted(parts, key=lambda part: min(one.frame.time for one in part[1]))
+
+
+def _is_one_after_the_other(parts: Sequence[Sequence[_Found]]) -> bool:
+    """Return whether no part begins before another one ends, as the images of a camera whose picture was resized."""
+    spans = sorted((min(one.frame.time for one in part), max(one.frame.time for one in part)) for part in parts)
+    return all(before[1] < after[0] for before, after in itertools.pairwise(spans))
 
 
 def _resized(size: tuple[int, int], found: Sequence[_Found]) -> Finding:

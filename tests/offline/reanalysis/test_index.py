@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from datetime import timedelta
 from pathlib import Path
 
@@ -140,6 +140,19 @@ def test_the_size_is_what_most_images_have(tmp_path: Path) -> None:
     files = named(DAY) | {"20130513T190000Z.png": encoded(GREY[::2], ".png"), "20130513T191000Z.png": b"none"}
     (camera,) = indexed(folder_of(files, tmp_path)).cameras
     assert (camera.size, len(camera.images)) == ((24, 20), 12)
+
+
+@pytest.mark.parametrize(("small", "of"), [(range(5, 10), "roof"), (range(0, 10, 2), None)])
+def test_sizes_one_after_the_other_are_of_one_camera_and_sizes_by_turns_of_two(
+    small: Sequence[int], of: str | None, tmp_path: Path
+) -> None:
+    files = {name: encoded(GREY[::2] if n in small else GREY, ".png") for n, name in enumerate(DAY)}
+    found = indexed(folder_of(files, tmp_path))
+    assert {(one.plan.part_of, one.size, len(one.images)) for one in found.cameras} == {
+        (of, (24, 20), 5), (of, (24, 10), 5),
+    }  # fmt: skip
+    assert len({one.plan.name for one in found.cameras}) == 2
+    assert [one.code for camera in found.cameras for one in camera.findings] == ["image_size_changed"] * 2
 
 
 def test_files_that_hold_no_images_are_not_looked_at(tmp_path: Path) -> None:
