@@ -479,9 +479,8 @@ class Turned(NamedTuple):
 
     def absorbed(self, shrink: FloatArray) -> FloatArray:
         """Return (..., p, p): the part of fields of variances (..., r) in the sightings' information on them."""
-        p, (x, y) = self.rows.shape[1], self.rows
-        products = (x[:, None] * x + y[:, None] * y).reshape(p * p, -1)
-        return np.asarray(shrink @ products.T).reshape(*shrink.shape[:-1], p, p)
+        both, twice = np.concatenate(list(self.rows), axis=-1), np.concatenate([shrink, shrink], axis=-1)
+        return np.asarray((both * twice[..., None, :]) @ both.T)
 
 
 # Which scales the data speak for: the field's amplitude and length, the radial distortion's and the decentering's.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -127,14 +127,14 @@ def unexplained_days(calibration: Calibration, usable: Sightings) -> Unexplained
     camera = replace(calibration.camera, max_angle=np.pi)
     residual = np.nan_to_num(residuals_by_pose(camera, calibration.poses, usable))
     used = ~np.isin(usable.index, calibration.left_out)
-    clear, halves = np.zeros_like(track), list[_HalfDay]()
+    clear, parts = np.zeros_like(track), list[tuple[IntArray, FloatArray]]()
     largest = max(_CLEAR_SIGMA_PX, _CLEAR_SIGMAS * calibration.evidence.sigma_px)
     for rows in _judged_together(usable, np.flatnonzero(track), _FEWEST_TO_JUDGE):
         smooth, rough = _runs_smoothly(residual[rows], usable, rows, largest)
         if smooth:
             fresh = np.flatnonzero(~clear[rows])
             for of_day in np.split(fresh, np.flatnonzero(np.diff(usable.day[rows[fresh]])) + 1):
-                halves += _half_days(calibration, usable, rows[of_day], residual[rows[of_day]], rough[of_day])
+                parts += _halves(usable, rows[of_day], rough[of_day])
             clear[rows] = True
     # those of another camera run smoothly, from day to day too, and those that cloud draws aside do not
     for rows in _judged_together(usable, np.flatnonzero(track & ~used), 2 * _FEWEST_FOR_SHARE):
@@ -143,6 +143,7 @@ def unexplained_days(calibration: Calibration, usable: Sightings) -> Unexplained
         else:
             clear[rows] = False
     share, n = max(_left_out(clear, used), _left_out(clear & (usable.epoch == usable.epoch.max(initial=0)), used))
+    halves = _half_days(calibration, usable, residual, parts)
     far = [one for one in halves if one.sigmas > _FAR]
     if not far:
         return Unexplained({"share": share, "n": n}, None)
@@ -197,26 +198,35 @@ def _left_out(counted: BoolArray, used: BoolArray) -> tuple[float, int]:
     return (float(np.mean(~used[counted])), n) if n >= _FEWEST_FOR_SHARE else (0.0, n)
 
 
-def _half_days(
-    calibration: Calibration, usable: Sightings, rows: IntArray, residual: FloatArray, rough: FloatArray
-) -> Iterator[_HalfDay]:
-    """Yield the halves of a day, `rough` being the residuals (n, 2) about their own smooth groups."""
+def _halves(usable: Sightings, rows: IntArray, rough: FloatArray) -> Iterator[tuple[IntArray, FloatArray]]:
+    """Yield the rows (k,) of the halves of a day that are judged, with their residuals (k, 2) about smooth groups."""
     afternoon = usable.directions[rows, 0] < 0.0  # the sun is in the west
     for half in (~afternoon, afternoon):
-        n = int(half.sum())
         seen = rows[half]
-        if n < _FEWEST_OF_HALF or np.ptp(usable.unix_s[seen]) < _SHORTEST_HALF_S:
-            continue
-        noise = robust_sigma(np.linalg.norm(rough[half], axis=-1), share=0.5, floor=_FLOOR_PX)
-        power = float(np.sum(rough[half] ** 2))
-        correlation = float(np.sum(rough[half][1:] * rough[half][:-1])) / power if power > 0.0 else 0.0
+        if seen.size >= _FEWEST_OF_HALF and np.ptp(usable.unix_s[seen]) >= _SHORTEST_HALF_S:
+            yield seen, rough[half]
+
+
+def _half_days(
+    calibration: Calibration, usable: Sightings, residual: FloatArray, halves: Sequence[tuple[IntArray, FloatArray]]
+) -> list[_HalfDay]:
+    """Return how far halves of days, see `_halves`, lie off by residuals (n, 2) of all sightings."""
+    some = [seen[:: -(-seen.size // _STATED_AT)] for seen, _ in halves]
+    part = np.repeat(np.arange(len(some)), [one.size for one in some])
+    # all at once: a call costs as much as some hundred directions
+    rows = np.concatenate([*some, np.zeros(0, dtype=np.int64)])
+    _, stated = project_with_covariance(calibration, usable.directions[rows])
+    found = []
+    for number, (seen, rough) in enumerate(halves):
+        noise = robust_sigma(np.linalg.norm(rough, axis=-1), share=0.5, floor=_FLOOR_PX)
+        power = float(np.sum(rough**2))
+        correlation = float(np.sum(rough[1:] * rough[:-1])) / power if power > 0.0 else 0.0
         correlation = min(max(correlation, 0.0), _LARGEST_CORRELATION)
         alike = (1.0 + correlation) / (1.0 - correlation)  # by how much more a mean varies as neighbours err alike
-        off = np.median(residual[half], axis=0)
-        _, stated = project_with_covariance(calibration, usable.directions[seen[:: -(-n // _STATED_AT)]])
-        variance = np.nan_to_num(np.mean(stated, axis=0)) + np.eye(2) * (
-            _MEDIAN**2 * noise**2 * alike / n + max(_MISFIT_PX, calibration.evidence.sigma_px) ** 2
+        off = np.median(residual[seen], axis=0)
+        variance = np.nan_to_num(np.mean(stated[part == number], axis=0)) + np.eye(2) * (
+            _MEDIAN**2 * noise**2 * alike / seen.size + max(_MISFIT_PX, calibration.evidence.sigma_px) ** 2
         )
-        yield _HalfDay(
-            float(np.linalg.norm(off)), float(np.sqrt(off @ np.linalg.solve(variance, off))), int(usable.day[seen[0]])
-        )
+        sigmas = float(np.sqrt(off @ np.linalg.solve(variance, off)))
+        found.append(_HalfDay(float(np.linalg.norm(off)), sigmas, int(usable.day[seen[0]])))
+    return found
