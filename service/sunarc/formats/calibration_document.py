@@ -58,7 +58,10 @@ class DocumentReader:
             return math.nan
         if isinstance(found, bool) or not isinstance(found, int | float):
             raise InputError(field=key, problem=f"{found!r} is not a number", remedy="give a number")
-        return float(found)
+        try:
+            return float(found)
+        except OverflowError:
+            raise InputError(field=key, problem="is out of range", remedy="give a number below 1e308") from None
 
     def numbers_of(self, key: str, kind: type[result.Metrics | Site]) -> dict[str, Any]:
         """Return the numbers that a dataclass holds, by name; those with a default only where there is one."""
@@ -85,7 +88,7 @@ class DocumentReader:
         """
         try:
             found = np.array(self.items(key), dtype=np.float64)
-        except (TypeError, ValueError) as fault:
+        except (TypeError, ValueError, OverflowError) as fault:
             raise InputError(field=key, problem="not an array of numbers", remedy=f"give shape {shape}") from fault
         if found.size == 0 and 0 in shape:
             return np.zeros(shape)

@@ -77,7 +77,7 @@ def lens_type_from_json(document: object) -> LensType:
         return _read(document)
     except KeyError as missing:
         raise InputError(field=str(missing.args[0]), problem="missing", remedy="give a whole lens prior file") from None
-    except (TypeError, ValueError) as fault:
+    except (TypeError, ValueError, OverflowError) as fault:
         raise InputError(field="lens prior", problem=str(fault), remedy="give a whole lens prior file") from None
 
 

@@ -253,7 +253,7 @@ def _converted(where: str, convert: Any, given: Any) -> Any:  # noqa: ANN401 - T
     """Return the value of a table or a list of TOML; InputError where it has none."""
     try:
         return convert(**given) if isinstance(given, dict) else convert(*given)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(field=where, problem=str(error), remedy="see `sunarc calibrate --help`") from None
 
 

@@ -302,7 +302,7 @@ def _column(name: str, values: ArrayLike, length: int | None) -> FloatArray:
         column = np.array(values, dtype=np.float64)
         if length is not None:
             column = np.array(np.broadcast_to(column, (length, 3) if vectors else (length,)))
-    except (TypeError, ValueError) as fault:
+    except (TypeError, ValueError, OverflowError) as fault:
         remedy = "give east, north, up of each sighting" if vectors else "give numbers, one a sighting"
         raise InputError(field=name, problem=str(fault), remedy=remedy) from fault
     if vectors:
