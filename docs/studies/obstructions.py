@@ -1,6 +1,6 @@
 """Obstruction masks and horizons of a rendered sky, against what was rendered.
 
-    python docs/studies/obstructions.py [--worlds N] [--pictures FOLDER]
+    python docs/studies/obstructions.py [--worlds N] [--first SEED] [--pictures FOLDER]
 
 prints, for each world, the intersection over union (IoU) with the truth after a clear day and after five days of mixed
 sky, the horizon's errors, the days until a crane is in the mask and until it is out again, false obstructions after a
@@ -121,7 +121,7 @@ class Learner:
 
 def horizon_errors(learner: Learner, *, crane: bool = False) -> tuple[float, float]:
     """Return the share of azimuths with a sharp edge that are within 0.5 degrees, and of all within 2 sigma."""
-    found = horizon_profile(learner.mask(), learner.camera)
+    found = horizon_profile(learner.mask())
     around = np.stack([learner.world.horizon_deg(crane=crane, azimuth_deg=np.arange(360.0) + k) for k in OFFSETS])
     truth, sharp = np.median(around, axis=0), np.ptp(around, axis=0) < SHARP_DEG
     error = np.abs(found.elevation_deg - truth)
@@ -181,14 +181,15 @@ def main() -> None:
     """Print the study."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--worlds", type=int, default=4)
+    parser.add_argument("--first", type=int, default=0, help="Seed of the first world.")
     parser.add_argument("--size", type=int, default=640)
     parser.add_argument("--pictures", type=Path)
     asked = parser.parse_args()
-    for seed in range(asked.worlds):
+    for seed in range(asked.first, asked.first + asked.worlds):
         jpeg = seed % 2 == 1
         print(study(World(n=asked.size, seed=seed, linear=not jpeg, text=jpeg), asked.pictures), flush=True)
     for weather in ("fog", "overcast", "broken"):
-        print(week(World(n=asked.size, seed=100, linear=False, text=True), weather), flush=True)
+        print(week(World(n=asked.size, seed=asked.first + 100, linear=False, text=True), weather), flush=True)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ import csv
 import io
 import sys
 from dataclasses import replace
-from datetime import timedelta
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,8 +15,10 @@ import numpy as np
 import pytest
 from tests.fixtures.calibrations import SITE
 
+from sunarc.detection.values import Detection
 from sunarc.imager.archive.archive import CameraArchive
 from sunarc.imager.archive.obstructions import ObstructionLearner
+from sunarc.imager.archive.sightings import sun_point_of
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "docs" / "studies"))
 from obstruction_world import World
@@ -48,7 +50,9 @@ def learner_of(made: Made, day: tuple[World, list[np.ndarray]], folder: Path) ->
     model, record = made.archive.calibrations.current_model("roof"), made.archive.calibrations.current("roof")
     assert model is not None
     assert record is not None
-    found._follow("second", replace(model, camera=camera_of(world)))
+    of_world = replace(model, camera=camera_of(world))
+    vars(found)["_known"] = lambda calibration: of_world if calibration else None
+    found._follow("second", of_world)
     found._calibration = record.id
     return found
 
@@ -87,6 +91,66 @@ def test_after_a_clear_day_mask_and_horizon_are_served(
     assert np.median(np.abs(np.array(horizon["elevation_deg"]) - world.horizon_deg())) < 0.6
     rows = list(csv.DictReader(io.StringIO(made.client.get("/v1/horizon?format=csv").text)))
     assert [float(row["horizon_elevation"]) for row in rows] == horizon["elevation_deg"]
+
+
+def test_a_crane_that_comes_and_goes_is_an_event_with_its_direction_and_size(
+    make: Make, day: tuple[World, list[np.ndarray]], tmp_path: Path
+) -> None:
+    made, world = make(history="filled"), day[0]
+    learner = learner_of(made, day, tmp_path)
+    for k, crane in enumerate((False, False, True, True, False, False, False)):
+        for time in world.times(k, every_min=20.0):
+            learner.take(world.frame(time, "clear", crane=crane), time)
+        if k == 3:  # what is known outlives a restart
+            learner = learner_of(made, day, tmp_path)
+    events = [one for one in made.archive.events.find("roof") if one.kind.startswith("obstruction_")]
+    by_kind = {kind: [one.details for one in events if one.kind == kind] for kind in {one.kind for one in events}}
+    assert by_kind.keys() == {"obstruction_appeared", "obstruction_gone"}
+    alone = world.crane & ~world.truth(crane=False) & (world.elevation > 0.0)
+    true_deg2 = float(np.sum(alone)) / world.focal_px**2 * np.degrees(1.0) ** 2
+    for details in by_kind.values():
+        largest = max(details, key=lambda one: float(one["area_deg2"]))
+        away = (float(largest["azimuth_deg"]) - world.crane_at + 180.0) % 360.0 - 180.0
+        assert -10.0 < away < 30.0
+        assert 10.0 < float(largest["elevation_deg"]) < 35.0
+        assert 0.3 * true_deg2 < sum(float(one["area_deg2"]) for one in details) < 1.6 * true_deg2
+
+
+def test_a_sun_behind_an_obstruction_is_not_used_and_earlier_ones_are_set_aside(
+    make: Make, day: tuple[World, list[np.ndarray]], tmp_path: Path
+) -> None:
+    made, world = make(history="filled"), day[0]
+    learner = learner_of(made, day, tmp_path)
+    times = [time for time in world.times(0, every_min=5.0) if world.sun(time)[2] > 0.02]
+    shares = np.array([_hidden_share(world, time) for time in times])
+    behind, free = shares == 1.0, shares == 0.0
+    assert np.any(behind)
+    assert np.any(free)
+    found = Detection(method="disc", accepted=True, verdict="clear", findings=(), x_px=9.0, y_px=9.0)
+    made.archive.sightings.add(
+        [
+            sun_point_of(found, camera="roof", pose_epoch="", time=one, exposure_us=1.0, clock_error_s=0.0)
+            for one in times
+        ]
+    )
+    assert all(learner.checked(found, time) is found for time in times)
+    show(learner, day)
+    show(learner, day, timedelta(days=1))
+    checked = [learner.checked(found, time) for time in times]
+    rejected = np.array([one.verdict == "obstructed" for one in checked])
+    assert np.mean(rejected[behind]) > 0.7
+    assert not np.any(rejected[free])
+    assert {one.findings[0].code for one in checked if not one.accepted} == {"sun_behind_obstruction"}
+    stored = {one.time: one.accepted for one in made.archive.sightings.find("roof", since=times[0], until=times[-1])}
+    kept = np.array([stored.get(time, False) for time in times[:-1]])
+    assert not np.any(kept & rejected[:-1])
+    assert np.all(kept[~rejected[:-1]])
+
+
+def _hidden_share(world: World, time: datetime) -> float:
+    """Return how much of the sky is hidden within 1 degree of the sun."""
+    near = world.directions @ world.sun(time) > np.cos(np.radians(1.0))
+    return float(np.mean(world.truth(crane=False)[near]))
 
 
 def test_the_sums_outlive_a_restart_and_a_damaged_file_begins_anew(

@@ -106,7 +106,7 @@ def test_a_blurred_spot_away_from_the_rim_is_soiled_and_not_of_the_horizon() -> 
     assert mask.image()[120, 150] == SOILED
     assert not np.any(mask.state[100:140, 140:160] == HIDDEN)
     assert mask.hidden()[120, 150]
-    clean = horizon_profile(mask, learner.camera)
+    clean = horizon_profile(mask)
     assert np.max(clean.elevation_deg) < 45.0
 
 
@@ -115,13 +115,39 @@ def test_a_crane_appears_in_the_changes_with_its_direction(clear_day: Learner) -
     learner.sums, before = clear_day.sums, clear_day.mask()
     for day in (1, 2):
         learner.day(day, ["clear"], crane=True, every_min=20.0)
-    appeared = mask_changes(before, learner.mask())
+    appeared, known = mask_changes(before.state, learner.mask())
     assert appeared
+    assert mask_changes(known, learner.mask())[0] == []
     assert all(one.appeared for one in appeared)
     away = (appeared[0].azimuth_deg - clear_day.world.crane_at + 180.0) % 360.0 - 180.0
     assert -10.0 < away < 30.0
     assert 15.0 < appeared[0].elevation_deg < 35.0
-    assert [one.appeared for one in mask_changes(learner.mask(), before)][:1] == [False]
+    assert [one.appeared for one in mask_changes(known, before)[0]][:1] == [False]
+
+
+def test_an_obstruction_that_is_unknown_in_between_or_grows_bit_by_bit_is_found_once(clear_day: Learner) -> None:
+    mask = clear_day.mask()
+    free = np.argwhere(mask.state == FREE)
+    row, column = free[np.argmin(np.hypot(*(free - SIZE / 2.0 - [25, 0]).T))]
+    known, found = mask.state, []
+    for state, wide in ((UNKNOWN, 12), (HIDDEN, 2), (UNKNOWN, 12), (HIDDEN, 2), (HIDDEN, 12), (HIDDEN, 12)):
+        shown = mask.state.copy()
+        shown[row : row + wide, column : column + wide] = state
+        changes, known = mask_changes(known, replace(mask, state=shown))
+        found += changes
+    assert len(found) == 1
+    assert found[0].appeared
+    assert found[0].area_deg2 == pytest.approx(mask.grid.area_deg2[row : row + 12, column : column + 12].sum(), rel=0.1)
+
+
+def test_the_sun_is_behind_what_the_mask_hides_and_nowhere_else(clear_day: Learner) -> None:
+    mask, world = clear_day.mask(), clear_day.world
+    sky = world.elevation > 0.0
+    hidden = mask.hides(world.directions[sky])
+    truth = world.truth(crane=False)[sky]
+    assert np.mean(hidden[truth]) > 0.9
+    assert np.mean(hidden[~truth]) < 0.002
+    assert not mask.hides(np.array([[0.0, 0.0, -1.0]]))[0]  # outside the image
 
 
 def test_the_evidence_is_carried_over_a_turn_by_directions(clear_day: Learner) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -18,8 +18,10 @@ from tests.fixtures.calibrations import SITE
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.quality.day_quality import measure_day
+from sunarc.common.array_types import BoolArray, FloatArray
+from sunarc.common.findings import Finding
 from sunarc.imager.archive.archive import Archive, CameraArchive, open_archive
-from sunarc.imager.archive.values import CameraRecord, DayAir, SunPoint
+from sunarc.imager.archive.values import CameraRecord, Day, DayAir, SunPoint
 from sunarc.imager.workers.calibrating import monitor as days
 from sunarc.imager.workers.calibrating.monitor import DayJudge
 from sunarc.imager.workers.calibrating.refit import EpochSearch, RefitTask, next_task
@@ -105,6 +107,32 @@ def test_a_day_is_judged_in_its_measured_air(archive: Archive, monkeypatch: pyte
     by_time = sorted(given, key=lambda points: float(points.unix_s[0]))
     assert set(by_time[0].temperature.tolist()) == {35.0}
     assert np.all(np.isnan(by_time[1].temperature))
+
+
+def test_a_clear_day_with_trees_in_the_suns_way_is_clear(archive: Archive) -> None:
+    noon = (NOON + timedelta(days=2)).timestamp()
+    add_sightings(archive, day=2)
+    archive.sightings.exclude(
+        "roof", Finding("sun_elsewhere"), since=NOON + timedelta(days=2, hours=-3), until=NOON + timedelta(days=2)
+    )
+
+    def judged(hidden: Callable[[FloatArray], BoolArray]) -> Day:
+        judge = DayJudge(
+            camera=CameraArchive(archive, name="roof", site=SITE), cadence_s=lambda: 600.0, sun_zenith_deg=88.0,
+            now=lambda: NOON + timedelta(days=3), request_refit=lambda _: None,  # type: ignore[arg-type, return-value]
+            hidden=hidden,
+        )  # fmt: skip
+        judge.look_back()
+        judge.judge_again(date_of_third)
+        return next(day for day in judge.judge_ended_days() if day.date == date_of_third)
+
+    date_of_third = (NOON + timedelta(days=2)).date()
+    without = judged(lambda unix_s: np.zeros(unix_s.shape, dtype=bool))
+    trees = judged(lambda unix_s: (unix_s > noon - 3.0 * 3600.0 - 1.0) & (unix_s < noon - 1.0))
+    assert (without.verdict, trees.verdict) == ("partly", "clear")
+    assert trees.n == without.n
+    assert without.n_possible - trees.n_possible == 18
+    assert trees.n_observed == trees.n
 
 
 def test_the_expected_sun_moves_by_what_pvlib_says(archive: Archive) -> None:

@@ -4,12 +4,21 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from sunarc.common.array_types import BoolArray, FloatArray
-from sunarc.imaging.obstructions import SOILED, Cells, ObstructionMask, sampled_cells
-from sunarc.optics.camera import Camera, camera_sees
+from sunarc.imaging.obstructions import (
+    SOILED,
+    CellGrid,
+    Cells,
+    ObstructionMask,
+    ObstructionSums,
+    obstruction_mask,
+    sampled_cells,
+)
+from sunarc.optics.camera import camera_sees
 from sunarc.optics.forward import project_fast
 from sunarc.sky.directions import direction_from_angles
 
@@ -31,16 +40,28 @@ _OPENING_DEG = 1.0
 _OFFSETS_DEG = (-0.4, -0.2, 0.0, 0.2, 0.4)
 
 
-def horizon_profile(mask: ObstructionMask, camera: Camera, *, sigma_deg: float = 0.0) -> HorizonProfile:
+class Obstructions(NamedTuple):
+    """Obstructions of a camera's sky: by cells of its image, and as a horizon."""
+
+    mask: ObstructionMask
+    horizon: HorizonProfile
+
+
+def obstructions_of(sums: ObstructionSums, grid: CellGrid, *, sigma_deg: float = 0.0) -> Obstructions:
+    """Return the mask and the horizon of the evidence; `sigma_deg`: see `horizon_profile`, NaN counts as 0."""
+    mask = obstruction_mask(sums, grid)
+    return Obstructions(mask, horizon_profile(mask, sigma_deg=0.0 if math.isnan(sigma_deg) else sigma_deg))
+
+
+def horizon_profile(mask: ObstructionMask, *, sigma_deg: float = 0.0) -> HorizonProfile:
     """Return the horizon of a mask.
 
     Parameters
     ----------
     mask : of the camera; dirt on its dome does not count.
-    camera : lens and pose.
     sigma_deg : 1-sigma of the calibration's directions near the horizon.
     """
-    elevation = np.arange(0.0, 90.0, _STEP_DEG)
+    camera, elevation = mask.grid.camera, np.arange(0.0, 90.0, _STEP_DEG)
     offsets = np.array(_OFFSETS_DEG)
     azimuth = (np.arange(360.0)[:, None] + offsets)[..., None]
     directions = direction_from_angles(zenith_deg=90.0 - elevation, azimuth_deg=azimuth)

@@ -13,11 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from sunarc.common.array_types import BoolArray, FloatArray, Image
 from sunarc.common.errors import InputError
-from sunarc.optics.camera import Camera
+from sunarc.optics.camera import Camera, camera_sees
 from sunarc.optics.forward import project_fast
 from sunarc.optics.inverse_table import inverse_table
 
 Cells = NDArray[np.float32]
+States = NDArray[np.uint8]
 FREE, UNKNOWN, SOILED, HIDDEN = 255, 128, 64, 0
 """Values of a mask: sky, not enough evidence, dirt on the dome, an obstruction."""
 
@@ -67,8 +68,8 @@ _FIT_CELLS, _FIT_ROUNDS = 2500, 6
 class CellGrid:
     """The cells of an image and the directions they show."""
 
-    size: tuple[int, int]
-    """Width and height of the image, px."""
+    camera: Camera
+    """Lens and pose."""
     directions: Cells
     """(rows, columns, 3) unit vectors of their centres, east-north-up; NaN outside the camera's field."""
     sky: BoolArray
@@ -81,6 +82,11 @@ class CellGrid:
     """(6, rows, columns) terms of the sky's light that do not depend on the sun."""
     sampled: NDArray[np.int64]
     """Cells (indices) that the sky's light is fitted to."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the image, px."""
+        return self.camera.width, self.camera.height
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -108,7 +114,7 @@ def cell_grid(camera: Camera) -> CellGrid:
     basis = np.stack([np.ones_like(up), east, north, up, up**2, np.exp(-6.0 * np.abs(up))])
     cells = np.flatnonzero(up > 0.03)
     return CellGrid(
-        size=(camera.width, camera.height),
+        camera=camera,
         directions=found,
         sky=sky,
         inner=cv2.erode(sky.astype(np.uint8), np.ones((9, 9), np.uint8), borderValue=0).astype(bool),
@@ -368,7 +374,7 @@ class ObstructionMask:
     """Of the camera."""
     probability: Cells
     """(rows, columns) of being hidden."""
-    state: NDArray[np.uint8]
+    state: States
     """(rows, columns): `FREE`, `UNKNOWN`, `SOILED` or `HIDDEN`."""
 
     def image(self) -> NDArray[np.uint8]:
@@ -383,6 +389,16 @@ class ObstructionMask:
     def hidden(self) -> BoolArray:
         """Return (height, width): which pixels do not show the sky, dirt on the dome with them."""
         return np.asarray(np.isin(self.image(), (HIDDEN, SOILED)))
+
+    def hides(self, directions: FloatArray) -> BoolArray:
+        """Return (...): which directions (..., 3), east-north-up, are surely behind an obstruction or dirt."""
+        camera, shape = self.grid.camera, self.grid.shape
+        at = project_fast(camera, directions.reshape(-1, 3))
+        seen = camera_sees(camera, at)
+        cells = (np.where(seen[:, None], at + 0.5, 0.0) * shape[::-1] / self.grid.size).astype(int)
+        column, row = np.clip(cells, 0, np.array(shape[::-1]) - 1).T
+        hidden = seen & np.isin(self.state[row, column], (HIDDEN, SOILED))
+        return np.asarray(hidden).reshape(directions.shape[:-1])
 
 
 def obstruction_mask(sums: ObstructionSums, grid: CellGrid) -> ObstructionMask:
@@ -427,21 +443,33 @@ class Change(NamedTuple):
     area_deg2: float
 
 
-def mask_changes(before: ObstructionMask, after: ObstructionMask, *, least_deg2: float = 4.0) -> list[Change]:
-    """Return the obstructions that appeared and those that are gone, the largest first; masks of one camera."""
-    found = []
+def mask_changes(known: States, mask: ObstructionMask, *, least_deg2: float = 4.0) -> tuple[list[Change], States]:
+    """Return the obstructions that appeared and those that are gone, the largest first, and the states known after.
+
+    A cell keeps the state that is known of it while it is unknown or dirty, or its change is too small: an obstruction
+    that grows in the mask bit by bit is found once it is large enough.
+
+    Parameters
+    ----------
+    known : (rows, columns) states, of former masks of the camera.
+    mask : the newest one.
+    least_deg2 : solid angle from which on a change counts.
+    """
+    found, after = [], known.copy()
     for appeared, was, now in ((True, FREE, HIDDEN), (False, HIDDEN, FREE)):
-        changed = ((before.state == was) & (after.state == now)).astype(np.uint8)
+        after[(known != was) & (mask.state == now)] = now
+        changed = ((known == was) & (mask.state == now)).astype(np.uint8)
         core = cv2.dilate(cv2.erode(changed, np.ones((2, 2), np.uint8)), np.ones((5, 5), np.uint8))
         n, labels = cv2.connectedComponents(core * changed)
         for label in range(1, n):
             part = labels == label
-            area = float(after.grid.area_deg2[part].sum())
-            east, north, up = after.grid.directions[part].mean(axis=0).tolist()
+            area = float(mask.grid.area_deg2[part].sum())
             if area >= least_deg2:
+                after[part] = now
+                east, north, up = mask.grid.directions[part].mean(axis=0).tolist()
                 elevation = math.degrees(math.atan2(up, math.hypot(east, north)))
                 found.append(Change(appeared, math.degrees(math.atan2(east, north)) % 360.0, elevation, area))
-    return sorted(found, key=lambda one: -one.area_deg2)
+    return sorted(found, key=lambda one: -one.area_deg2), after
 
 
 def carried_over(sums: ObstructionSums, camera: Camera, grid: CellGrid) -> ObstructionSums:

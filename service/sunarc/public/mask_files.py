@@ -15,7 +15,7 @@ from sunarc.calibration.model.result import Calibration
 from sunarc.common.errors import InputError, disk_errors
 from sunarc.common.findings import FindingError
 from sunarc.formats.csv_files import write_columns
-from sunarc.imaging.horizon import HorizonProfile, horizon_profile
+from sunarc.imaging.horizon import HorizonProfile, obstructions_of
 from sunarc.imaging.obstructions import (
     FREE,
     HIDDEN,
@@ -26,7 +26,6 @@ from sunarc.imaging.obstructions import (
     ObstructionSums,
     cell_grid,
     no_sums,
-    obstruction_mask,
     updated_sums,
 )
 from sunarc.public.star_files import StarOptions, read_time, read_timed
@@ -86,9 +85,7 @@ def _learned(sums: ObstructionSums, grid: CellGrid, calibration: Calibration, co
         used = ", ".join(f"{n} {use}" for use, n in sorted(counts.items())) or "none"
         problem = f"show too little sunshine: {sums.missing_h:.1f} h more are needed (images: {used})"
         raise InputError(field="IMAGES", problem=problem, remedy="give images of a whole clear day")
-    mask = obstruction_mask(sums, grid)
-    sigma_deg = float(np.nan_to_num(calibration.sky_rms_deg))
-    return LearnedMask(mask, horizon_profile(mask, calibration.camera, sigma_deg=sigma_deg), dict(counts))
+    return LearnedMask(*obstructions_of(sums, grid, sigma_deg=calibration.sky_rms_deg), dict(counts))
 
 
 def mask_png(mask: ObstructionMask) -> bytes:

@@ -202,6 +202,7 @@ class Service:
             now=self.frame_time.now,
             request_refit=self.request_refit,
             waiting=self._waiting_days,
+            hidden=self.obstructions.hides,
         )
         self.cadence = self._cadence()
         self.folder, self.folder_archive = self._followed_folder()
@@ -264,6 +265,7 @@ class Service:
             clock_error_s=self.clock_watch.error_s,
             notice=self._notice_sun,
             show=self.obstructions.take,
+            checked=self.obstructions.checked,
             board=self.board,
             looked_at_again=True,
         )
@@ -301,6 +303,7 @@ class Service:
             clock_error_s=lambda time: self.clock_watch.error_s(time) + options.clock_error_s + worker.within_s,
             notice=self._notice_sun,
             show=self.obstructions.take,
+            checked=self.obstructions.checked,
             board=self.board,
         )
         worker = SnapshotWorker(
@@ -522,6 +525,7 @@ class Service:
             report=self.report,
             cadence_s=self.settings.capture.cadence_s,
             frozen=self.frozen,
+            checked=self.obstructions.checked,
             board=self.board,
         )
 

@@ -9,29 +9,32 @@ import math
 import threading
 import zipfile
 from dataclasses import fields, replace
-from datetime import datetime
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from sunarc.calibration.model.result import Calibration
-from sunarc.common.array_types import Image
+from sunarc.common.array_types import BoolArray, FloatArray, Image
 from sunarc.common.errors import InputError, OutsideError
 from sunarc.common.findings import Finding
+from sunarc.common.utc import MICROSECOND, utc_time
+from sunarc.detection.values import Detection
 from sunarc.imager.archive.archive import CameraArchive
 from sunarc.imager.archive.images import write_atomically
-from sunarc.imaging.horizon import HorizonProfile, horizon_profile
+from sunarc.imager.archive.pictures_of_one_time import ELSEWHERE
+from sunarc.imaging.horizon import HorizonProfile, obstructions_of
 from sunarc.imaging.obstructions import (
     CellGrid,
     Change,
     ObstructionMask,
     ObstructionSums,
+    States,
     carried_over,
     cell_grid,
     mask_changes,
     no_sums,
-    obstruction_mask,
     updated_sums,
 )
 from sunarc.sky.sun import sun_directions
@@ -41,6 +44,8 @@ _EVERY_S = 300.0
 """Between images that are used; they share votes of ten minutes."""
 _MASK_EVERY_S = 6.0 * 3600.0
 """Between masks, and between writes of the sums."""
+_BEFORE_FIRST = timedelta(days=3)
+"""Before the first mask: how far back suns are held to it, those that its images have shown."""
 _SAME_DEG = 0.2
 """Turn of the camera below which its cells show the same directions, about half a cell."""
 
@@ -71,6 +76,7 @@ class ObstructionLearner:
         self._model: Calibration | None = None
         self._calibration, self._pose_epoch = "", ""
         self._learned: LearnedObstructions | None = None
+        self._states: States | None = None
         self._written_s = -math.inf
 
     @property
@@ -84,6 +90,20 @@ class ObstructionLearner:
         if self._sums is None:
             return "no image has been compared with a calibration yet"
         return f"too little sunshine was seen: {self._sums.missing_h:.1f} h more are needed"
+
+    def hides(self, unix_s: FloatArray) -> BoolArray:
+        """Return (n,): at which times, s since 1970, the sun is behind an obstruction; at no time without a mask."""
+        found = self._learned
+        if found is None:
+            return np.zeros(unix_s.shape, dtype=bool)
+        return found.mask.hides(sun_directions(unix_s, self._camera.site))
+
+    def checked(self, detection: Detection, time: datetime) -> Detection:
+        """Return a detection, rejected where the sun was behind an obstruction: it is a reflection or a gap's light."""
+        counts = detection.accepted or detection.verdict == ELSEWHERE
+        if not counts or not self.hides(np.array([time.timestamp()]))[0]:
+            return detection
+        return replace(detection, accepted=False, verdict="obstructed", findings=(Finding("sun_behind_obstruction"),))
 
     def take(self, image: Image, time: datetime) -> None:
         """Use an image, unless one of the last minutes was used; images that cannot be used or written are left out."""
@@ -116,14 +136,14 @@ class ObstructionLearner:
         grid = cell_grid(model.camera)
         sums = self._sums
         if sums is None:
-            calibration_before, sums = _read(self._path)
+            calibration_before, sums, self._states = _read(self._path)
             before = self._known(calibration_before)
         else:
             before = self._model
         if sums is None or before is None or sums.log_odds.shape != grid.shape:
-            sums = no_sums(grid)
+            sums, self._states = no_sums(grid), None
         elif _turn_deg(before, model) > _SAME_DEG:
-            sums, self._learned = carried_over(sums, before.camera, grid), None
+            sums, self._learned, self._states = carried_over(sums, before.camera, grid), None, None
         self._sums, self._grid, self._model, self._calibration = sums, grid, model, calibration
 
     def _known(self, calibration: str) -> Calibration | None:
@@ -139,13 +159,23 @@ class ObstructionLearner:
             return
         self._written_s = time.timestamp()
         if sums.is_ready:
-            mask, before = obstruction_mask(sums, grid), self._learned
-            sigma_deg = float(np.nan_to_num(model.sky_rms_deg))
-            profile = horizon_profile(mask, model.camera, sigma_deg=sigma_deg)
-            self._learned = LearnedObstructions(self._calibration, self._pose_epoch, time, mask, profile)
-            for change in () if before is None else mask_changes(before.mask, mask):
+            before, found = self._learned, obstructions_of(sums, grid, sigma_deg=model.sky_rms_deg)
+            self._learned = LearnedObstructions(self._calibration, self._pose_epoch, time, *found)
+            if before is None:
+                self._set_aside_before(time)
+            known = found.mask.state if self._states is None else self._states
+            changes, self._states = mask_changes(known, found.mask)
+            for change in changes:
                 self._camera.add_event(_finding(change), time=time, severity="info")
-        write_atomically(self._path, _bytes(self._calibration, sums))
+        write_atomically(self._path, _bytes(self._calibration, sums, self._states))
+
+    def _set_aside_before(self, time: datetime) -> None:
+        """Leave the suns behind obstructions out of every fit that were accepted before the first mask."""
+        sightings, name = self._camera.archive.sightings, self._camera.name
+        times = sightings.columns(name, since=time - _BEFORE_FIRST, until=time).unix_s
+        for unix_s in times[self.hides(times)].tolist():
+            at = utc_time(unix_s)
+            sightings.exclude(name, Finding("sun_behind_obstruction"), since=at, until=at + MICROSECOND)
 
 
 def _finding(change: Change) -> Finding:
@@ -176,28 +206,31 @@ def _turn_deg(before: Calibration, after: Calibration) -> float:
 _ARRAYS = ("log_odds", "texture", "contrast", "last")
 
 
-def _bytes(calibration: str, sums: ObstructionSums) -> bytes:
+def _bytes(calibration: str, sums: ObstructionSums, states: States | None) -> bytes:
     plain = {one.name: getattr(sums, one.name) for one in fields(sums) if one.name not in _ARRAYS}
     plain["counts"] = dict(sums.counts)
     text = json.dumps({"calibration": calibration, **plain})
     content = io.BytesIO()
     arrays = {name: getattr(sums, name).astype(np.float16) for name in _ARRAYS}
-    np.savez_compressed(content, plain=np.array(text), **arrays)
+    known = np.zeros((0, 0), np.uint8) if states is None else states
+    np.savez_compressed(content, plain=np.array(text), states=known, **arrays)
     return content.getvalue()
 
 
-def _read(path: Path) -> tuple[str, ObstructionSums | None]:
-    """Return the calibration and the sums of a file; None without such a file, or for a damaged one."""
+def _read(path: Path) -> tuple[str, ObstructionSums | None, States | None]:
+    """Return the calibration, the sums and the known states of a file; none without such a file, or a damaged one."""
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
             plain: dict[str, Any] = json.loads(str(stored["plain"]))
             arrays = {name: stored[name].astype(np.float32) for name in _ARRAYS}
+            states = stored["states"].astype(np.uint8) if "states" in stored else np.zeros((0, 0), np.uint8)
         calibration = str(plain.pop("calibration"))
         sums = replace(ObstructionSums(**arrays), **plain)
         whole = sums.log_odds.shape == sums.texture.shape == sums.contrast.shape
-        return (calibration, sums) if whole and all(np.isfinite(one).all() for one in arrays.values()) else ("", None)
+        if whole and all(np.isfinite(one).all() for one in arrays.values()):
+            return calibration, sums, states if states.shape == sums.log_odds.shape else None
     except FileNotFoundError:
-        return "", None
+        pass
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
         _log.warning("the sums of the obstruction mask are damaged, and begin anew: %s", error)
-        return "", None
+    return "", None, None

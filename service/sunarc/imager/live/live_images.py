@@ -122,6 +122,7 @@ class LiveImages:
     notice : called with the time and place of each sun that was found, for the detection of changes.
     board : where repetitions are reported.
     show : called with the pixels and the time of each picture that is new.
+    checked : returns a detection at a time, or its rejection: the sun is behind an obstruction.
     looked_at_again : whether the images from before the first calibration are read again elsewhere; otherwise
         their sightings are held to it here.
     """
@@ -134,6 +135,7 @@ class LiveImages:
     notice: Callable[[datetime, Detection], None]
     board: StatusRegistry
     show: Callable[[Image, datetime], None] = lambda _image, _time: None
+    checked: Callable[[Detection, datetime], Detection] = lambda found, _time: found
     looked_at_again: bool = False
 
     def __post_init__(self) -> None:
@@ -173,9 +175,10 @@ class LiveImages:
         expected = None if model is None else self._expected(model, time)
         answers = self._look(address, images, expected, outside=model is not None and expected is None)
         suns = {one.file: one.found for one in answers if isinstance(one.found, Detection)}
-        accepted = any(found.accepted for found in suns.values())
-        if expected is not None and not accepted:
+        if expected is not None and not any(found.accepted for found in suns.values()):
             self._add_elsewhere(address, images, suns)
+        suns = {file: self.checked(found, time) for file, found in suns.items()}
+        accepted = any(found.accepted for found in suns.values())
         repeated = self._repeated(address, images[0], suns)
         if repeated is not None:
             self._store([self._point(one, _frozen(repeated), SEARCHED) for one in images])

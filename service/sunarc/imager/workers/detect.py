@@ -277,6 +277,7 @@ class DetectWorker:
     board : where the time of the last sighting is shown.
     frozen : rejects sightings in images that the camera had delivered before.
     cadence_s : seconds from cycle to cycle; frames nearer than half of it are one bracket.
+    checked : returns a detection at a time, or its rejection: the sun is behind an obstruction.
     """
 
     frames: DropOldestQueue[Frame]
@@ -291,6 +292,7 @@ class DetectWorker:
     board: StatusRegistry
     frozen: FrozenFrames
     cadence_s: float
+    checked: Callable[[Detection, datetime], Detection] = lambda found, _time: found
 
     def __post_init__(self) -> None:
         """Begin without a bracket."""
@@ -319,7 +321,7 @@ class DetectWorker:
         )
         detection = self._beside_bracket(frame, detection, expectation)
         detection = self._or_elsewhere(frame, detection, expectation)
-        detection = self.frozen.checked(frame, detection)
+        detection = self.checked(self.frozen.checked(frame, detection), frame.time)
         self._faults.note(frame.image)
         point = sun_point_of(
             detection,

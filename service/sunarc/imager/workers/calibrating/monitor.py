@@ -22,7 +22,7 @@ from sunarc.calibration.quality.first_motion import FEWEST_IN_MOTION, site_contr
 from sunarc.changes.daily_rotations import DailyRotations, daily_pose_offset
 from sunarc.changes.online import REMEMBERED, details_of, finding_of, update_window
 from sunarc.changes.values import LENS_KINDS, Sighting, SightingWindow, WatchOptions
-from sunarc.common.array_types import FloatArray
+from sunarc.common.array_types import BoolArray, FloatArray
 from sunarc.common.errors import InputError, OutsideError
 from sunarc.common.findings import Finding
 from sunarc.common.utc import MICROSECOND, utc_time
@@ -515,6 +515,7 @@ class DayJudge:
     now : frame time.
     request_refit : asks for a refit, with the reason.
     waiting : days of which sightings are still to come: they are judged later.
+    hidden : at which times, s since 1970, the sun is behind an obstruction: nothing is expected then.
     """
 
     camera: CameraArchive
@@ -524,6 +525,7 @@ class DayJudge:
     now: Callable[[], datetime]
     request_refit: Callable[[str], Refit]
     waiting: Callable[[], Container[date]] = frozenset
+    hidden: Callable[[FloatArray], BoolArray] = lambda unix_s: np.zeros(unix_s.shape, dtype=bool)
     _judged_before: date | None = field(default=None, init=False)
     _again: set[date] = field(default_factory=set, init=False)
     _looks_back: bool = field(default=False, init=False)
@@ -575,13 +577,14 @@ class DayJudge:
             columns = columns.select(~doubtful)
         frames = np.arange(start, end, cadence_s)
         up = sun_angles(frames, self.camera.site).apparent_zenith < self.sun_zenith_deg
+        observed = self.camera.archive.sightings.observation_times(
+            self.camera.name, since=since, until=until, largest_clock_error_s=largest_s
+        )
         measure = measure_day(
             points_of(columns),
             site=self.camera.site,
-            n_possible=int(np.count_nonzero(up)),
-            observed_unix_s=self.camera.archive.sightings.observation_times(
-                self.camera.name, since=since, until=until, largest_clock_error_s=largest_s
-            ),
+            n_possible=int(np.count_nonzero(up & ~self.hidden(frames))),
+            observed_unix_s=None if observed is None else observed[~self.hidden(observed)],
             cadence_s=cadence_s,
             doubtful_clock=share,
         )
