@@ -10,15 +10,15 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-import cv2
 import numpy as np
 
 from sunarc.archives.fit import Final, Rough, document_of
 from sunarc.archives.ledger import Ledger, ParallelMap, content_key
 from sunarc.archives.nights import NightsLooked
-from sunarc.archives.passes import Found, FoundSun, Looked, id_of, kept
+from sunarc.archives.obstructions import EpochObstructions
+from sunarc.archives.passes import FoundSun, Looked, id_of, kept
 from sunarc.archives.states import Epoch
 from sunarc.common.array_types import FloatArray
 from sunarc.common.errors import InputError, disk_errors
@@ -26,74 +26,14 @@ from sunarc.common.extras import extra_module, is_installed
 from sunarc.common.findings import Finding, headline_of
 from sunarc.common.foreign_files import is_regular, read_regular
 from sunarc.common.json_text import json_text
-from sunarc.common.utc import DAY_S, rfc3339, utc_time
-from sunarc.detection.values import Expectation
+from sunarc.common.utc import rfc3339, utc_time
 from sunarc.imager.live.learned_sigma import sigma_of_series
 from sunarc.optics.forward import project
 from sunarc.sky.sun import sun_directions
 from sunarc.sources.expected_sun import PREDICTED, SEARCHED
 from sunarc.sources.index import CameraImages, Failure, Indexed
-from sunarc.sources.look import IN_STACK, NamedStars, software
+from sunarc.sources.look import NamedStars, software
 from sunarc.sources.sources import hash_of
-
-_CELLS = 48
-"""Cells across the shorter side: wider than the sun's glare in most images, narrower than a tree."""
-_FEWEST_DAYS = 3
-"""Clear days on which the sun has to pass a cell unseen: clouds hide it at the same place on one day, not on three."""
-_CLEAR_SHARE = 0.4
-SEEN, UNKNOWN, HIDDEN = 255, 128, 0
-"""Values of the mask: the sun was seen here, never passed here on enough clear days, passes here and is never seen."""
-
-
-class SunHorizon(NamedTuple):
-    """A mask as a PNG, and how many cells of it the sun was seen in, and how many hide it."""
-
-    png: bytes
-    seen: int
-    hidden: int
-
-
-def learn_horizon(looked: Looked, expected: Sequence[Expectation | None], size: tuple[int, int]) -> SunHorizon:
-    """Return the horizon that hides the sun in a camera's images.
-
-    Parameters
-    ----------
-    looked : the images, and what was found in them.
-    expected : where the sun should have been in each.
-    size : width and height of the images, px.
-    """
-    cell = min(size) / _CELLS
-    shape = int(np.ceil(size[1] / cell)), int(np.ceil(size[0] / cell))
-    rows = [row for row, one in enumerate(expected) if one is not None and not _is_stacked(looked.found[row])]
-    pixels = np.array([_pixel(expected[row]) for row in rows]).reshape(-1, 2)
-    days = np.array([looked.images[row].unix_s // DAY_S for row in rows])
-    seen = np.array([_is_seen(looked, row) for row in rows], dtype=bool)
-    state = np.full(shape, UNKNOWN, dtype=np.uint8)
-    place = np.clip((pixels[:, ::-1] / cell).astype(int), 0, np.array(shape) - 1)
-    clear = {day: float(np.mean(seen[days == day])) >= _CLEAR_SHARE for day in np.unique(days).tolist()}
-    for row, column in np.unique(place, axis=0).tolist():
-        here = np.all(place == (row, column), axis=1)
-        if np.any(seen[here]):
-            state[row, column] = SEEN
-        elif sum(clear[day] for day in np.unique(days[here]).tolist()) >= _FEWEST_DAYS:
-            state[row, column] = HIDDEN
-    whole = cv2.resize(state, size, interpolation=cv2.INTER_NEAREST)
-    png = cv2.imencode(".png", whole)[1].tobytes()
-    return SunHorizon(png, int(np.count_nonzero(state == SEEN)), int(np.count_nonzero(state == HIDDEN)))
-
-
-def _pixel(one: Expectation | None) -> tuple[float, float]:
-    return (0.0, 0.0) if one is None else (one.x_px, one.y_px)
-
-
-def _is_stacked(found: Found) -> bool:
-    return isinstance(found, FoundSun) and found.verdict == IN_STACK
-
-
-def _is_seen(looked: Looked, row: int) -> bool:
-    found = looked.found[row]
-    return isinstance(found, FoundSun) and found.accepted
-
 
 _HEADER = ("camera", "time_utc", "file", "x_px", "y_px", "sigma_px", "body", "verdict", "epoch")
 Document = dict[str, Any]
@@ -108,7 +48,7 @@ class CameraResult:
     camera : with its images.
     searched, looked : what was found in them without a prediction, and in the end.
     rough, final : states and epochs after the first pass, and after the second; None where there was none.
-    horizon : what hides the sun; None without epochs.
+    obstructions : mask and horizon of each epoch.
     nights : images of the night, and the stars that were named in them.
     first_epoch : epochs of the camera before, in images of another size.
     """
@@ -118,7 +58,7 @@ class CameraResult:
     looked: Looked
     rough: Rough
     final: Final | None
-    horizon: SunHorizon | None
+    obstructions: tuple[EpochObstructions, ...]
     nights: NightsLooked
     first_epoch: int = 0
 
@@ -181,9 +121,7 @@ def write_results(
         _write(target / "epochs.json", json_text([row for one in results for row in _epochs(one, documents)]).encode())
         for (camera, epoch), document in documents.items():
             _write(target / "calibrations" / camera / f"{epoch}.json", json_text(document).encode())
-        for one in results:
-            if one.horizon is not None:
-                _write(target / f"horizon_{one.part}.png", one.horizon.png)
+        _write_obstructions(target, results)
         _write_detections(target / "detections", results, ledger)
         missing = _write_exports(target / "exports", documents if each is not None else {}, each, ledger)
     report = {
@@ -197,6 +135,21 @@ def write_results(
         "exports_missing": missing,
     }
     return Summary(report=report, documents=documents)
+
+
+def _write_obstructions(target: Path, results: Sequence[CameraResult]) -> None:
+    """Write the mask and the horizon of each epoch, and the picture of the newest horizon of each camera."""
+    for name in ("masks", "horizons"):
+        shutil.rmtree(target / name, ignore_errors=True)  # of a former run
+    for one in results:
+        (target / f"horizon_{one.part}.png").unlink(missing_ok=True)
+        for number, shown in enumerate(one.obstructions):
+            for ending, content in shown.files.items():
+                folder = target / ("masks" if ending == "png" else "horizons") / one.name
+                _write(folder / f"{one.epoch_name(number)}.{ending}", content)
+        for shown in sorted(one.obstructions, key=lambda shown: shown.missing is None):
+            if shown.picture:  # the newest one that is known
+                _write(target / f"horizon_{one.part}.png", shown.picture)
 
 
 _NUMBERS_FOUND = ("x_px", "y_px", "sigma_px", "radius_px", "ellipticity", "peak_fraction", "background_fraction")
@@ -276,8 +229,8 @@ def _document(result: CameraResult, number: int) -> Document:
     assert result.final is not None  # noqa: S101 - it has epochs
     epoch = result.final.epochs[number]
     state = result.final.states[epoch.state]
-    horizon = result.horizon
-    evidence = {} if horizon is None else {"horizon_seen": horizon.seen, "horizon_hidden": horizon.hidden}
+    shown = result.obstructions[number]
+    evidence = {} if shown.missing else {"horizon_seen": shown.seen, "horizon_hidden": shown.hidden}
     return document_of(
         result.final.fitted[state.pose],
         result.looked.points()[0],
@@ -402,7 +355,6 @@ def _camera(result: CameraResult, documents: Mapping[tuple[str, str], Document])
         ],
         "nights": _nights(result),
         "epochs": [_epoch_summary(result, n, documents) for n in range(len(result.epochs))],
-        "horizon": None if result.horizon is None else {"seen": result.horizon.seen, "hidden": result.horizon.hidden},
     }
 
 
@@ -419,13 +371,14 @@ def _nights(result: CameraResult) -> dict[str, int]:
 
 def _epoch_summary(result: CameraResult, number: int, documents: Mapping[tuple[str, str], Document]) -> Document:
     document = documents[result.name, result.epoch_name(number)]
-    epoch = _epochs(result, documents)[number]
+    epoch, shown = _epochs(result, documents)[number], result.obstructions[number]
     return {
         **epoch,
         "rmse_px": document["metrics"]["rmse_px"],
         "rmse_deg": document["metrics"]["rmse_deg"],
         "sky_rms_deg": document["uncertainty"]["sky_rms_deg"],
         "reasons": document["verdict"]["reasons"],
+        "horizon": {"missing": shown.missing} if shown.missing else {"seen": shown.seen, "hidden": shown.hidden},
     }
 
 

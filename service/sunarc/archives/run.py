@@ -21,9 +21,10 @@ from sunarc.archives.fit import (
 )
 from sunarc.archives.ledger import Ledger
 from sunarc.archives.nights import NightsLooked, name_stars, nights_of, star_points
+from sunarc.archives.obstructions import EpochObstructions, epoch_obstructions, images_of_epochs
 from sunarc.archives.passes import Looked, Passes, epoch_at, predictions, without_lifted
 from sunarc.archives.report import write_report
-from sunarc.archives.results import CameraResult, Summary, SunHorizon, learn_horizon, write_results
+from sunarc.archives.results import CameraResult, Summary, write_results
 from sunarc.archives.star_start import CameraNightImages, first_by_stars
 from sunarc.archives.states import ArchiveCamera, known_state
 from sunarc.calibration.model.result import Calibration
@@ -140,6 +141,7 @@ def _results(
     nights = _nights(cameras, final, passes)
     final |= _with_stars(nights, final, again, passes, ledger)
     final = {n: None if one is None else one.with_calibrations() for n, one in final.items()}
+    obstructions = _obstructions(cameras, looked, final, passes, ledger)
     return _numbered(
         [
             CameraResult(
@@ -148,7 +150,7 @@ def _results(
                 looked=looked.get(n, searched[n]),
                 rough=rough[n],
                 final=final.get(n),
-                horizon=_horizon(camera, looked.get(n, searched[n]), final.get(n)),
+                obstructions=obstructions.get(n, ()),
                 nights=nights[n],
             )
             for n, camera in enumerate(cameras)
@@ -262,11 +264,24 @@ def _or_by_stars(rough: Rough, stars: Rough | None, *, suns: bool) -> Rough:
     return rough if suns else stars
 
 
+def _obstructions(
+    cameras: Sequence[CameraImages],
+    looked: Mapping[int, Looked],
+    final: Mapping[int, Final | None],
+    passes: Passes,
+    ledger: Ledger,
+) -> dict[int, tuple[EpochObstructions, ...]]:
+    """Return mask and horizon of each epoch of the cameras, by number; none where the worker that made it died."""
+    found = {}
+    for number, one in final.items():
+        if one is None:
+            continue
+        given = images_of_epochs(looked[number], one, cameras[number].size)
+        names = [f"{cameras[number].plan.name} {epoch}" for epoch in range(len(given))]
+        made = ledger.each(passes.cluster.each, epoch_obstructions, given, names=names)
+        found[number] = tuple(each or EpochObstructions({}, 0, 0, "the worker that made it died", b"") for each in made)
+    return found
+
+
 def _known(camera: CameraImages) -> ArchiveCamera:
     return ArchiveCamera(camera.plan.site, camera.size, camera.plan.options)
-
-
-def _horizon(camera: CameraImages, looked: Looked, final: Final | None) -> SunHorizon | None:
-    if final is None or not final.epochs or not camera.images:
-        return None
-    return learn_horizon(looked, predictions(camera, final.states, final.epochs), camera.size)

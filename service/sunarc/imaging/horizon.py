@@ -34,6 +34,17 @@ class HorizonProfile:
     openings: tuple[tuple[tuple[float, float], ...], ...]
     """Of each azimuth, the spans of elevation below it through which the sky is seen, degrees."""
 
+    def hides(self, directions: FloatArray) -> BoolArray:
+        """Return (...): which directions (..., 3), east-north-up, lie below it and in no opening."""
+        east, north, up = np.moveaxis(directions, -1, 0)
+        column = np.rint(np.degrees(np.arctan2(east, north))).astype(int) % 360
+        elevation = np.degrees(np.arctan2(up, np.hypot(east, north)))
+        hidden = elevation < np.nan_to_num(self.elevation_deg)[column]
+        for number, spans in enumerate(self.openings):
+            for lowest, highest in spans:
+                hidden &= ~((column == number) & (elevation >= lowest) & (elevation < highest))
+        return np.asarray(hidden)
+
 
 _STEP_DEG = 0.1
 _OPENING_DEG = 1.0

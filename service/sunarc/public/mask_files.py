@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import io
+import itertools
+import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,6 +14,7 @@ import cv2
 import numpy as np
 
 from sunarc.calibration.model.result import Calibration
+from sunarc.common.array_types import Image
 from sunarc.common.errors import InputError, disk_errors
 from sunarc.common.findings import FindingError
 from sunarc.formats.csv_files import write_columns
@@ -21,9 +24,7 @@ from sunarc.imaging.obstructions import (
     HIDDEN,
     SOILED,
     UNKNOWN,
-    CellGrid,
     ObstructionMask,
-    ObstructionSums,
     cell_grid,
     no_sums,
     updated_sums,
@@ -62,25 +63,45 @@ def mask_of_files(paths: Sequence[Path], calibration: Calibration, options: Star
     InputError
         Where an image has another size than the calibration's, or all of them show less than one clear day.
     """
-    grid, counts = cell_grid(calibration.camera), Counter[str]()
-    sums, timed = no_sums(grid), []
+    timed, unread = [], 0
     for path in paths:
         try:
             timed.append((read_time(path, options), path))
         except (FindingError, InputError):
-            counts["unread"] += 1
-    for time, path in sorted(timed):
-        try:
-            image = read_timed(path, options)[1]
-        except (FindingError, InputError):
-            counts["unread"] += 1
+            unread += 1
+    images = ((time.timestamp(), _image(path, options)) for time, path in sorted(timed))
+    return mask_of_images(itertools.chain(images, itertools.repeat((math.inf, None), unread)), calibration)
+
+
+def _image(path: Path, options: StarOptions) -> Image | None:
+    try:
+        return read_timed(path, options)[1]
+    except (FindingError, InputError):
+        return None
+
+
+def mask_of_images(images: Iterable[tuple[float, Image | None]], calibration: Calibration) -> LearnedMask:
+    """Return the mask and the horizon that images show.
+
+    Parameters
+    ----------
+    images : with their times, s since 1970, in that order; None counts as unread.
+    calibration : of the camera.
+
+    Raises
+    ------
+    InputError
+        Where an image has another size than the calibration's, or all of them show less than one clear day.
+    """
+    grid, unread = cell_grid(calibration.camera), 0
+    sums = no_sums(grid)
+    for unix_s, image in images:
+        if image is None:
+            unread += 1
             continue
-        sun = sun_directions(time.timestamp(), calibration.site)
-        sums = updated_sums(sums, image, grid, sun=np.asarray(sun), unix_s=time.timestamp())
-    return _learned(sums, grid, calibration, counts + Counter(sums.counts))
-
-
-def _learned(sums: ObstructionSums, grid: CellGrid, calibration: Calibration, counts: Counter[str]) -> LearnedMask:
+        sun = np.asarray(sun_directions(unix_s, calibration.site))
+        sums = updated_sums(sums, image, grid, sun=sun, unix_s=unix_s)
+    counts = Counter({"unread": unread} if unread else {}) + Counter(sums.counts)
     if not sums.is_ready:
         used = ", ".join(f"{n} {use}" for use, n in sorted(counts.items())) or "none"
         problem = f"show too little sunshine: {sums.missing_h:.1f} h more are needed (images: {used})"
