@@ -47,7 +47,7 @@ class EpochImages(NamedTuple):
 
 
 class EpochObstructions(NamedTuple):
-    """Mask and horizon of an epoch as files by their endings, and the horizon's numbers; or why there are none.
+    """Mask and horizon of an epoch as files by their endings, and the horizon's numbers; or the reason why not.
 
     seen, hidden: azimuths that the image shows, and those of them whose sky is hidden up to 1 degree or more.
     """

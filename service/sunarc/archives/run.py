@@ -271,7 +271,7 @@ def _obstructions(
     passes: Passes,
     ledger: Ledger,
 ) -> dict[int, tuple[EpochObstructions, ...]]:
-    """Return mask and horizon of each epoch of the cameras, by number; none where the worker that made it died."""
+    """Return mask and horizon of each epoch of the cameras, by number, or that the worker that made them died."""
     found = {}
     for number, one in final.items():
         if one is None:

@@ -218,7 +218,7 @@ def _bytes(calibration: str, sums: ObstructionSums, states: States | None) -> by
 
 
 def _read(path: Path) -> tuple[str, ObstructionSums | None, States | None]:
-    """Return the calibration, the sums and the known states of a file; none without such a file, or a damaged one."""
+    """Return the calibration, the sums and the known states of a file; None without a sound one."""
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
             plain: dict[str, Any] = json.loads(str(stored["plain"]))
