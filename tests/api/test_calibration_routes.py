@@ -3,8 +3,10 @@ from __future__ import annotations
 from datetime import timedelta
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 
+from sunarc.client import CameraModel
 from sunarc.formats.calibration_document import from_document
 
 if TYPE_CHECKING:
@@ -19,6 +21,20 @@ def test_the_current_calibration_is_the_archives_document(made: Made) -> None:
     assert answer.json() == record.document
     assert (answer.json()["id"], answer.json()["state"]) == ("second", "current")
     assert from_document(answer.json()).camera == from_document(record.document).camera
+
+
+def test_the_camera_alone_projects_as_the_whole_document(made: Made) -> None:
+    whole, camera = made.client.get("/v1/calibration"), made.client.get("/v1/calibration?detail=camera")
+    assert (camera.status_code, camera.json()["schema"]) == (200, "sunarc.camera/1")
+    assert len(camera.content) < 8000
+    assert whole.headers["etag"] != camera.headers["etag"]
+    again = made.client.get("/v1/calibration?detail=camera", headers={"if-none-match": camera.headers["etag"]})
+    assert (again.status_code, again.content) == (304, b"")
+    assert made.client.get("/v1/calibration?detail=whole").content == whole.content
+    directions = np.array([[0.0, 0.0, 1.0], [0.6, 0.2, 0.5], [-0.3, 0.9, 0.1], [0.0, 0.0, -1.0]])
+    found, expected = (CameraModel(one.json()).project(directions) for one in (camera, whole))
+    np.testing.assert_array_equal(found.pixels, expected.pixels)
+    np.testing.assert_array_equal(found.inside, expected.inside)
 
 
 def test_an_unchanged_calibration_is_not_sent_again(made: Made) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from typing import Any
 
@@ -12,6 +13,8 @@ from tests.fixtures.calibration import current_document, distinctive_calibration
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance, unproject_with_sigma
 from sunarc.calibration.model.result import ErrorMixture
 from sunarc.client import CameraModel
+from sunarc.common.errors import InputError
+from sunarc.formats.calibration_document import camera_document, from_document
 from sunarc.optics.projections import PROJECTIONS
 
 SKY = hemisphere(60)
@@ -38,6 +41,27 @@ def test_it_is_what_the_service_says(projection: str, *, mirrored: bool) -> None
     np.testing.assert_allclose(back.zenith_deg, zenith, atol=1e-6)
     assert back.inside.all()
     assert (found.calibration, back.calibration) == (model.id, model.id)
+
+
+@pytest.mark.parametrize("many", [False, True])
+def test_the_camera_alone_projects_and_has_no_sigma(*, many: bool) -> None:
+    whole = current_document(distinctive_calibration(higher=0.03))
+    alone = camera_document(whole)
+    assert len(json.dumps(alone)) < min(8000, len(json.dumps(whole)))
+    assert whole["uncertainty"]["field"]["mean"] == alone["uncertainty"]["field"]["mean"]
+    sky = np.repeat(SKY, 40, axis=0) if many else SKY
+    found, expected = (CameraModel(one).project(sky) for one in (alone, whole))
+    np.testing.assert_array_equal(found.pixels, expected.pixels)
+    assert np.isnan(found.sigma_px).all()
+    assert np.isnan(found.covariance_px2).all()
+    back, expected_back = (CameraModel(one).back_project(expected.pixels) for one in (alone, whole))
+    np.testing.assert_array_equal(back.direction, expected_back.direction)
+    assert np.isnan(back.sigma_deg).all()
+
+
+def test_the_camera_alone_is_no_whole_document() -> None:
+    with pytest.raises(InputError, match="schema"):
+        from_document(camera_document(current_document(distinctive_calibration())))
 
 
 def test_the_distances_that_hold_a_share_are_those_of_the_mixture() -> None:

@@ -31,7 +31,7 @@ _GROUPS = {
 }
 _NAMES = [name for names in _GROUPS.values() for name in names]
 _ORDERS = np.arange(2, 10)
-_SCHEMAS = ("sunarc.calibration/1", "sunarc.calibration/2")
+_SCHEMAS = ("sunarc.calibration/1", "sunarc.calibration/2", "sunarc.camera/1")
 _LEAST_UNKNOWN = 0.02
 """1-sigma of the field, as a share of its amplitude, that always stays unknown."""
 _ROUNDS = 6
@@ -55,7 +55,8 @@ class CameraModel:
 
     Parameters
     ----------
-    document : a calibration document (`Imager.calibration`, or a file of `sunarc export`).
+    document : a calibration document (`Imager.calibration`, or a file of `sunarc export`); by one of the camera
+        alone (`detail="camera"`) each sigma and covariance is NaN.
 
     Raises
     ------
@@ -76,8 +77,8 @@ class CameraModel:
         self._max_angle = float(np.radians(model["max_angle_deg"]))
         self._parameters = np.hstack([np.asarray(model[group], dtype=np.float64) for group in _GROUPS])
         self._backward = tuple(np.asarray(backward[key], dtype=np.float64) for key in ("radial", "decentering"))
-        self._fitted = [_NAMES.index(name) for name in uncertainty["parameters"]]
-        self._covariance = np.asarray(uncertainty["covariance"], dtype=np.float64)
+        self._fitted = [_NAMES.index(name) for name in uncertainty.get("parameters", [])]
+        self._covariance = np.asarray(uncertainty.get("covariance", []), dtype=np.float64)
         self._field = _Field(uncertainty["field"], parameters=len(self._fitted))
         self._mixture = uncertainty.get("mixture")
         self._sheets: FloatArray | None = None
@@ -205,7 +206,9 @@ class CameraModel:
         return np.where(valid, found, np.eye(2))
 
     def _pixel_covariance(self, unit: FloatArray, pixels: FloatArray) -> FloatArray:
-        """Return (n, 2, 2) px²: of the fitted parameters and the field, which are correlated."""
+        """Return (n, 2, 2) px²: of the fitted parameters and the field, correlated; NaN without a covariance."""
+        if not self._covariance.size:
+            return np.full((len(unit), 2, 2), np.nan)
         rows = np.empty((len(unit), 2, len(self._fitted)))
         for column, (index, sigma) in enumerate(zip(self._fitted, np.sqrt(np.diag(self._covariance)), strict=True)):
             step = np.zeros(self._parameters.size)
@@ -267,13 +270,14 @@ class _Field:
     """Displacement of the image with respect to the lens, and its uncertainty: sine waves on a box."""
 
     def __init__(self, document: Mapping[str, Any], *, parameters: int) -> None:
-        self._amplitude = float(document["amplitude_px"])
+        self._amplitude = float(document.get("amplitude_px", 0.0))
         self._half, self._center = np.asarray(document["half_px"]), np.asarray(document["center_px"])
         self._orders = np.asarray(document["orders"]).reshape(-1, 2)
         waves = len(self._orders)
-        self._variances = self._of_unit_amplitude(float(document["length_px"]))
+        self._variances = self._of_unit_amplitude(float(document.get("length_px", 1.0)))
         self._mean = np.asarray(document.get("mean", np.zeros((2, waves))), dtype=np.float64).reshape(2, waves)
-        self._cross = np.asarray(document["cross"], dtype=np.float64).reshape(2, parameters, waves)
+        cross = document.get("cross", np.zeros((2, parameters, waves)))
+        self._cross = np.asarray(cross, dtype=np.float64).reshape(2, parameters, waves)
         self._known = np.asarray(document.get("known", []), dtype=np.float64).reshape(-1, waves or 1)
         self._coupling = np.asarray(document.get("coupling", [[], []]), dtype=np.float64).reshape(2, -1, waves or 1)
 

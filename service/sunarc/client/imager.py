@@ -21,7 +21,7 @@ from .answers import (
     conditions_of,
     parsed,
 )
-from .requests import Requests, _day, _expected_content, _located, _named, _number, _points, _quoted, _time
+from .requests import Requests, _day, _detail, _expected_content, _located, _named, _number, _points, _quoted, _time
 from .transport import ImagerError
 
 
@@ -118,15 +118,23 @@ class Imager(Requests):
         rows, _, shape = self._rows("/geolocate", points, points.shape[-1], at, draws=draws, seed=seed)
         return rows[..., :3].reshape(draws, *shape, 3), rows[..., 6:9].reshape(draws, *shape, 3)
 
-    def calibration(self, calibration_id: str | None = None, *, at: datetime | None = None) -> dict[str, Any]:
-        """Return a calibration document: the one that answers, or any by its id."""
+    def calibration(
+        self,
+        calibration_id: str | None = None,
+        *,
+        at: datetime | None = None,
+        detail: Literal["whole", "camera"] = "whole",
+    ) -> dict[str, Any]:
+        """Return a calibration document: the one that answers, whole or its camera alone, or any by its id."""
         if calibration_id is not None:
             return self._json(f"/calibrations/{_quoted(calibration_id)}")
-        return self._json("/calibration", at=_time(at), calibration=self._chosen)
+        return self._json("/calibration", at=_time(at), calibration=self._chosen, detail=_detail(detail))
 
-    def renewed(self, tag: str | None) -> tuple[dict[str, Any], str] | None:
+    def renewed(
+        self, tag: str | None, *, detail: Literal["whole", "camera"] = "whole"
+    ) -> tuple[dict[str, Any], str] | None:
         """Return the calibration document that answers now with its ETag; None where that is the one given."""
-        query = {"calibration": self._chosen}
+        query = {"calibration": self._chosen, "detail": _detail(detail)}
         answer = self._transport.ask_if_changed(f"{self._prefix}/calibration", query, tag=tag)
         if answer is None:
             return None

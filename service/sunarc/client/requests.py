@@ -175,3 +175,8 @@ def _day(day: date | None) -> str | None:
 
 def _number(value: float | None) -> str | None:
     return None if value is None else repr(float(value))
+
+
+def _detail(detail: str) -> str | None:
+    """Return the query of a document's detail; an imager of an earlier version knows the whole alone."""
+    return None if detail == "whole" else detail

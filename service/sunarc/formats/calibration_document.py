@@ -103,6 +103,14 @@ SCHEMA = "sunarc.calibration/2"
 _EARLIER = "sunarc.calibration/1"
 """Without the field's mean: the prediction is the lens alone."""
 READ_SCHEMAS = (SCHEMA, _EARLIER)
+CAMERA_SCHEMA = "sunarc.camera/1"
+"""Schema of the part of a calibration document that projects (`camera_document`)."""
+_CAMERA_KEYS = (
+    *("id", "camera", "state", "created_at", "valid_from", "valid_until", "pose_epoch"),
+    *("site", "image", "model", "backward_model", "pose"),
+)
+_SKY_KEYS = ("sky_rms_deg", "sky_rms_without_clock_deg", "sky_max_deg", "sigma_limit_deg")
+_DISPLACEMENT_KEYS = ("center_px", "half_px", "orders", "mean")
 _ROUNDED_SHARES = 1e-3
 
 Document = dict[str, Any]
@@ -166,6 +174,18 @@ def to_document(
         },
         "software": {"name": "sunarc", "version": software_version},
     }
+
+
+def camera_document(document: Document) -> Document:
+    """Return the part of a calibration document that projects: its camera, its displacement and the sky's sigma.
+
+    The keys are those of the whole document; covariance, mixture, evidence and verdict are absent.
+    """
+    uncertainty = document["uncertainty"]
+    displacement = {key: uncertainty["field"][key] for key in _DISPLACEMENT_KEYS if key in uncertainty["field"]}
+    sky = {key: uncertainty[key] for key in _SKY_KEYS if key in uncertainty}
+    camera = {key: document[key] for key in _CAMERA_KEYS}
+    return {"schema": CAMERA_SCHEMA, **camera, "uncertainty": {"field": displacement, **sky}}
 
 
 def _moves(calibration: result.Calibration) -> list[Document]:

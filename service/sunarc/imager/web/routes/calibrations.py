@@ -6,13 +6,14 @@ import hashlib
 import json
 from collections.abc import Callable
 from functools import partial
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from fastapi import APIRouter, Depends, Path, Query, Request
 from fastapi.responses import Response
 
-from sunarc.common.errors import NotFoundError
+from sunarc.common.errors import InputError, NotFoundError
+from sunarc.formats.calibration_document import Document, camera_document
 from sunarc.formats.exported import Exported
 from sunarc.formats.formats import FORMATS, SERVED, ServedFormat, export
 from sunarc.imager.archive.values import CalibrationRecord, CalibrationState, Refit, fields_of
@@ -28,6 +29,7 @@ _SAME = "The document is the one"
 _DOCUMENT = described_answer(
     "The calibration document, schema sunarc.calibration/2.", _JSON, headers=_TAGGED, same=_SAME
 )
+_DETAIL = "Of the JSON document: all of it, or the camera alone, which projects without a sigma of its own (4 kB)."
 _EXPORTED = described_answer(
     "The calibration document, schema sunarc.calibration/2, or another format of it.",
     _JSON | {str(FORMATS[name].media_type).partition(";")[0]: {} for name in SERVED if name != "json"},
@@ -46,19 +48,22 @@ def calibration_routes(context: ApiContext) -> APIRouter:
     routes = APIRouter(tags=["calibrations"])
 
     made = {name: SingleFlightCache(partial(_exported, name), key=tag_of) for name in SERVED}
-    written = _Written()
+    written = {"whole": _Written(_text), "camera": _Written(_camera_text)}
 
     @routes.get("/calibration", dependencies=BY_CALIBRATION, responses=_EXPORTED | answers(404, 422))
     def calibration(
         request: Request,
         at: At = None,
         format_: Annotated[ServedFormat, Query(alias="format", description="Of the answer (docs/rest.md).")] = "json",
+        detail: Annotated[Literal["whole", "camera"], Query(description=_DETAIL)] = "whole",
         if_none_match: IfNoneMatch = None,
     ) -> Response:
         """Return the calibration that is valid now, or at the time `at`."""
         record = context.of(request).record(at)
         if format_ == "json":
-            return written.answer(record, if_none_match)
+            return written[detail].answer(record, if_none_match)
+        if detail != "whole":
+            raise InputError(field="detail", problem=f"is not given of {format_}", remedy="leave out format, or detail")
         return _export(record, made, format_, if_none_match)
 
     @routes.get("/calibrations", responses=answers(422))
@@ -107,16 +112,22 @@ def tag_of(record: CalibrationRecord) -> str:
 
 
 class _Written:
-    """The document that was sent last, as text: every client asks for the same one."""
+    """The document that was sent last, as text: every client asks for the same one.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    text : returns a record's document as text.
+    """
+
+    def __init__(self, text: Callable[[CalibrationRecord], bytes]) -> None:
+        self._text = text
         self._last: tuple[CalibrationRecord, bytes, str] | None = None
 
     def answer(self, record: CalibrationRecord, if_none_match: str | None) -> Response:
         """Return a record's document; it is written anew where another record was sent before."""
         last = self._last
         if last is None or last[0] is not record:
-            text = _text(record)
+            text = self._text(record)
             last = self._last = record, text, etag_of(text)
         return _with_tag(last[1], last[2], if_none_match)
 
@@ -147,7 +158,15 @@ def _with_tag(content: bytes, tag: str, if_none_match: str | None) -> Response:
 
 
 def _text(record: CalibrationRecord) -> bytes:
-    return json.dumps(record.document, allow_nan=False, separators=(",", ":")).encode()
+    return _json(record.document)
+
+
+def _camera_text(record: CalibrationRecord) -> bytes:
+    return _json(camera_document(record.document))
+
+
+def _json(document: Document) -> bytes:
+    return json.dumps(document, allow_nan=False, separators=(",", ":")).encode()
 
 
 def _exported(format_: ServedFormat, record: CalibrationRecord) -> Exported:
