@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import timedelta
@@ -196,3 +197,38 @@ def test_a_state_folder_on_a_disk_that_cannot_be_written_to_is_refused_with_the_
     for folder in (state, state / "images"):
         with pytest.raises(OutsideError, match="`state`"):
             prepare_state(folder)
+
+
+SPILLING = """
+import sys
+from pathlib import Path
+from sunarc.common.errors import StoreFullError
+from sunarc.imager.archive.archive import open_archive
+
+archive = open_archive(Path(sys.argv[1]))
+rows = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 20000) SELECT randomblob(1000) FROM n"
+try:
+    with archive.database.writing(camera=None) as connection:
+        connection.exec_driver_sql(f"CREATE {sys.argv[2]} many AS {rows}")
+except StoreFullError as error:
+    print(error)
+"""
+"""20 MB, more than SQLite keeps in memory, in the database or in its temporary files."""
+
+
+@pytest.mark.parametrize(("table", "full"), [("TEMP TABLE", "temporary"), ("TABLE", "state")])
+def test_the_disk_that_is_full_is_named(tmp_path: Path, table: str, full: str) -> None:
+    if os.geteuid() != 0:
+        pytest.skip("mounting a small disk needs root")
+    folders = {"temporary": tmp_path / "temporary", "state": tmp_path / "state"}
+    for folder in folders.values():
+        folder.mkdir()
+    with mounted(folders["temporary"], "size=8m"), mounted(folders["state"], "size=8m"):
+        file = folders["state"] / "sunarc.sqlite"
+        upgrade(file)
+        environment = {**os.environ, "SQLITE_TMPDIR": str(folders["temporary"])}
+        command = [sys.executable, "-c", SPILLING, str(file), table]
+        done = subprocess.run(command, env=environment, check=True, capture_output=True, text=True, timeout=120)
+    disk = done.stdout.partition(", which")[0].partition(" is full")[0]
+    assert str(folders[full]) in disk
+    assert sum(str(folder) in disk for folder in folders.values()) == 1

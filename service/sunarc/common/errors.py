@@ -76,7 +76,7 @@ def disk_errors(path: Path) -> Iterator[None]:
 
 
 class StoreFullError(OutsideError):
-    """The disk of the database is full."""
+    """The disk of the database, or that of its temporary files, is full."""
 
 
 class CameraError(SunarcError):

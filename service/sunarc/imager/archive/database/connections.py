@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import select
+import shutil
 import sqlite3
 import threading
 import zlib
@@ -119,6 +120,8 @@ ONE_CAMERA = "sunarc_camera"
 _ARCHIVE_LOCK = 0x73756E  # of this database; any number that no other application of it takes
 _LOCK_TIMEOUT_MS = 30_000  # as long as SQLite waits
 _DISK_FULL = "53100"
+_ROOM_BYTES = 1_000_000
+"""A disk with less is full: SQLite asks for megabytes of temporary files at once."""
 """SQLSTATE (PostgreSQL, appendix A)."""
 _OF_THE_SERVER = ("08", "25", "28", "3D", "40", "53", "55", "57", "58", "F0", "XX")
 """Classes of SQLSTATE that say nothing of the row: connection, state of the transaction, authorisation, serialization,
@@ -446,7 +449,7 @@ def _file_errors(engine: Engine) -> Iterator[None]:
         raise contradiction(str(error.orig)) from error
     except OperationalError as error:
         if _result_code(error) == sqlite3.SQLITE_FULL:
-            raise StoreFullError(f"the disk of the database {path} is full: {error.orig}") from error
+            raise StoreFullError(f"{_full_disk(Path(str(path)))} is full: {error.orig}") from error
         may = os.access(str(path), os.R_OK | os.W_OK, effective_ids=True) or not Path(str(path)).exists()
         remedy = "" if may else "; give the file to the service's user (chown), or ask as that user"
         raise OutsideError(f"cannot use the database {path}: {error.orig}{remedy}") from error
@@ -458,6 +461,28 @@ def _file_errors(engine: Engine) -> Iterator[None]:
             f"{path} is no sound SQLite database ({error.orig}); put the newest copy in its place: "
             f"sunarc db restore --latest --state {Path(str(path)).parent}"
         ) from error
+
+
+def _full_disk(database: Path) -> str:
+    """Return which disk SQLite found full, of the two that its one error may mean."""
+    temporary = next((folder for folder in _temporary_folders() if os.access(folder, os.W_OK | os.X_OK)), None)
+    if temporary is None or _free_bytes(database.parent) < _ROOM_BYTES or _free_bytes(temporary) >= _ROOM_BYTES:
+        return f"the disk of the database {database}"
+    return f"the disk of temporary files {temporary}, which the database {database} needs too,"
+
+
+def _temporary_folders() -> Iterator[Path]:
+    """Yield the folders where SQLite puts temporary files, the first one first (sqlite.org/tempfiles.html)."""
+    named = (os.environ.get(name) for name in ("SQLITE_TMPDIR", "TMPDIR"))
+    yield from (Path(folder) for folder in (*named, "/var/tmp", "/usr/tmp", "/tmp") if folder)  # noqa: S108
+
+
+def _free_bytes(folder: Path) -> int:
+    """Return the bytes that any user may still write into a folder; 0 where it cannot be asked."""
+    try:
+        return shutil.disk_usage(folder).free
+    except OSError:
+        return 0
 
 
 def _text(stored: bytes) -> str:

@@ -125,14 +125,15 @@ class _File:
 def _stored(make: Callable[[], ResponseBody]) -> _File:
     """Return the made content, in a file: where systemd says that caches are, else where temporary files are."""
     made = make()
-    folder = os.environ.get("CACHE_DIRECTORY", "").partition(":")[0] or None
+    folder = os.environ.get("CACHE_DIRECTORY", "").partition(":")[0] or tempfile.gettempdir()
     try:
         with tempfile.TemporaryFile(dir=folder) as file:
             file.write(made.content)
             file.flush()
             mapped = mmap.mmap(file.fileno(), len(made.content), access=mmap.ACCESS_READ)
     except OSError as error:
-        raise OutsideError(f"an answer of {len(made.content)} bytes cannot be stored: {error.strerror}") from error
+        problem = f"an answer of {len(made.content)} bytes cannot be stored in {folder}: {error.strerror}"
+        raise OutsideError(problem) from error
     return _File(bytes=mapped, media_type=made.media_type, headers=made.headers)
 
 
