@@ -7,15 +7,16 @@ import json
 import socket
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime, timedelta, timezone
 from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import numpy as np
 import pytest
 
-from sunarc.client import Imager, ImagerError
+from sunarc.client import Imager, ImagerError, transport
 from sunarc.client.transport import Transport, retry_wait_s
+from sunarc.imager.runtime.clock import SystemClock
 
 Answer = tuple[int, dict[str, str], bytes]
 OK: Answer = (200, {}, b'{"azimuth": 1.0}')
@@ -36,6 +37,69 @@ class ScriptedServer(HTTPServer):
     @property
     def address(self) -> str:
         return f"http://127.0.0.1:{self.server_port}"
+
+
+@contextmanager
+def dripping(*, first: bytes, drop: bytes, every_s: float, n_drops: int) -> Iterator[str]:
+    """Serve one connection with a beginning of an answer, and drops of its rest."""
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        ended = threading.Event()
+
+        def serve() -> None:
+            channel, _ = listening.accept()
+            with channel, suppress(OSError):
+                channel.recv(65_536)
+                channel.sendall(first)
+                for _ in range(n_drops):
+                    if ended.wait(every_s):
+                        return
+                    channel.sendall(drop)
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        try:
+            yield f"http://127.0.0.1:{listening.getsockname()[1]}"
+        finally:
+            ended.set()
+            thread.join()
+
+
+CLOCK = SystemClock()
+HEAD = b"HTTP/1.1 200 OK\r\nContent-Type: application/json\r\n"
+
+
+@pytest.mark.parametrize(
+    ("first", "drop"),
+    [(HEAD + b"X-Long: ", b"x"), (HEAD + b"Content-Length: 100000\r\n\r\n", b" "), (HEAD + b"\r\n", b" ")],
+    ids=["head", "body", "body without end"],
+)
+def test_a_server_that_drips_is_cut_off_in_the_time_of_one_request(first: bytes, drop: bytes) -> None:
+    with dripping(first=first, drop=drop, every_s=0.05, n_drops=400) as address:
+        imager = Imager(address, timeout_s=0.5, retries=0)
+        begun_s = CLOCK.monotonic()
+        with pytest.raises(ImagerError) as caught:
+            imager.sun()
+        assert CLOCK.monotonic() - begun_s < 10.0  # dripping takes 20 s
+    assert caught.value.status is None
+
+
+def test_a_steady_answer_may_take_longer_than_the_time_of_one_request() -> None:
+    first = HEAD + b"Content-Length: 40000\r\n\r\n"
+    content = b'{"azimuth": 1.0}'.ljust(4000)
+    with (
+        dripping(first=first, drop=content, every_s=0.1, n_drops=10) as address,
+        pytest.raises(ImagerError, match="cannot be read"),  # ten objects are no JSON: all of it came
+    ):
+        Imager(address, timeout_s=0.5, retries=0).sun()
+
+
+def test_an_answer_that_is_too_long_or_cut_off_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(transport, "_MOST_BYTES", 1000)
+    for first in (HEAD + b"\r\n" + b" " * 1001, HEAD + b"Content-Length: 10\r\n\r\n{}"):
+        with dripping(first=first, drop=b"", every_s=0.0, n_drops=0) as address:
+            with pytest.raises(ImagerError) as caught:
+                Imager(address, timeout_s=5.0, retries=0).sun()
+            assert caught.value.status is None
 
 
 class _Handler(BaseHTTPRequestHandler):

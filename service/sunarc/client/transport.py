@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import http.client
+import io
 import json
+import socket
 import time
 import urllib.error
 import urllib.parse
@@ -17,6 +19,14 @@ _NOT_SOON = "urn:sunarc:problem:no_calibration"
 """Type of a 503 that a clear day ends, not a moment."""
 _FIRST_WAIT_S = 0.25
 _LONGEST_WAIT_S = 10.0
+_LEAST_BYTES_PER_S = 4000.0
+"""The rate below which the service itself cuts a client off."""
+_MOST_BYTES = 2_000_000_000
+"""Of an answer: three times the longest one, positions of 4 million points in double precision."""
+_MOST_REFUSAL_BYTES = 1_000_000
+_LONGEST_LINE_BYTES = 1_000_000
+"""Of a stream of events."""
+_PART_BYTES = 1_048_576
 
 
 class ImagerError(Exception):
@@ -34,6 +44,82 @@ class ImagerError(Exception):
         self.problem = dict(problem or {})
 
 
+class _TimedSocket(io.RawIOBase):
+    """Bytes of an answer, head and body, whose whole time is limited: a server that drips is cut off.
+
+    Parameters
+    ----------
+    channel : the connection; its timeout is that of the whole, to which the bytes that come add.
+    raw : reads from it.
+    """
+
+    def __init__(self, channel: socket.socket, raw: io.RawIOBase) -> None:
+        self._channel, self._raw = channel, raw
+        self._timeout_s = channel.gettimeout()
+        self._until_s = _now_s() + (self._timeout_s or 0.0)
+
+    def readable(self) -> bool:
+        """Return True."""
+        return True
+
+    def readinto(self, buffer: Any) -> int | None:  # noqa: ANN401 - a writable buffer
+        """Read the next bytes; TimeoutError where too few came in the time."""
+        if self._timeout_s is not None:
+            left_s = self._until_s - _now_s()
+            if left_s <= 0.0:
+                raise TimeoutError(f"less than {_LEAST_BYTES_PER_S:g} bytes per second came")
+            self._channel.settimeout(min(left_s, self._timeout_s))
+        count = self._raw.readinto(buffer)
+        self._until_s += (count or 0) / _LEAST_BYTES_PER_S
+        return count
+
+    def close(self) -> None:
+        """Close the connection with it."""
+        self._raw.close()
+        super().close()
+
+
+class _TimedResponse(http.client.HTTPResponse):
+    def __init__(self, sock: socket.socket, *args: Any, **how: Any) -> None:  # noqa: ANN401 - of http.client
+        super().__init__(sock, *args, **how)
+        self.fp = io.BufferedReader(_TimedSocket(sock, self.fp.detach()))
+
+
+class _TimedConnection(http.client.HTTPConnection):
+    response_class = _TimedResponse
+
+
+class _TimedTlsConnection(http.client.HTTPSConnection):
+    response_class = _TimedResponse
+
+
+class _TimedHttp(urllib.request.HTTPHandler):
+    def http_open(self, req: urllib.request.Request) -> http.client.HTTPResponse:
+        return self.do_open(_TimedConnection, req)
+
+
+class _TimedHttps(urllib.request.HTTPSHandler):
+    def https_open(self, req: urllib.request.Request) -> http.client.HTTPResponse:
+        return self.do_open(_TimedTlsConnection, req)
+
+
+def _now_s() -> float:
+    return time.monotonic()  # noqa: TID251 - it stands outside the service and its clock
+
+
+def _content(answer: http.client.HTTPResponse) -> bytes:
+    """Return the whole content of an answer; HTTPException where it is cut off, or too long."""
+    parts, left = [], _MOST_BYTES
+    while part := answer.read(_PART_BYTES):
+        parts.append(part)
+        left -= len(part)
+        if left < 0:
+            raise http.client.HTTPException(f"the answer has more than {_MOST_BYTES} bytes")
+    if answer.length:
+        raise http.client.IncompleteRead(b"", answer.length)
+    return b"".join(parts)
+
+
 class _NoRedirect(urllib.request.HTTPRedirectHandler):
     """Leaves a redirect as the answer: urllib would send the token to whatever host it names."""
 
@@ -48,7 +134,8 @@ class Transport:
     ----------
     address : as "http://imager:8080".
     token : sent with every request.
-    timeout_s : of one request.
+    timeout_s : of one request: of connecting, of sending it, and of an answer, which has a second more for every 4 kB
+        that came, and 2 GB at most.
     retries : how often a request is asked again after 429, 503 or no connection.
     """
 
@@ -59,7 +146,8 @@ class Transport:
         self._headers = {} if token is None else {"Authorization": f"Bearer {token}"}
         self._timeout_s = timeout_s
         self._retries = retries
-        self._opener = urllib.request.build_opener(_NoRedirect)
+        self._opener = urllib.request.build_opener(_NoRedirect, _TimedHttp, _TimedHttps)
+        self._of_streams = urllib.request.build_opener(_NoRedirect)
 
     def ask(
         self,
@@ -125,8 +213,8 @@ class Transport:
         """
         request = urllib.request.Request(f"{self._address}{path}", headers={**self._headers, **headers})  # noqa: S310
         try:
-            with self._opener.open(request, timeout=silent_s) as answer:
-                for line in answer:
+            with self._of_streams.open(request, timeout=silent_s) as answer:
+                while line := answer.readline(_LONGEST_LINE_BYTES):
                     yield line.decode("utf-8", "replace").rstrip("\r\n")
         except urllib.error.HTTPError as error:
             with error:
@@ -143,7 +231,7 @@ class Transport:
     def _answer(self, request: urllib.request.Request) -> tuple[bytes, Mapping[str, str]]:
         try:
             with self._opener.open(request, timeout=self._timeout_s) as answer:
-                return answer.read(), answer.headers
+                return _content(answer), answer.headers
         except urllib.error.HTTPError as error:
             with error:
                 raise _refusal(error) from None
@@ -153,7 +241,7 @@ class Transport:
 
 def _refusal(error: urllib.error.HTTPError) -> ImagerError:
     try:
-        problem = json.loads(error.read())
+        problem = json.loads(error.read(_MOST_REFUSAL_BYTES))
     except (ValueError, OSError, http.client.HTTPException):  # no JSON, or the connection ended within it
         problem = {}
     problem = problem if isinstance(problem, dict) else {}

@@ -10,7 +10,6 @@ import sys
 import tempfile
 import threading
 import urllib.parse
-import urllib.request
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
@@ -46,6 +45,7 @@ from sunarc.imager.runtime.clock import Clock, SystemClock, host_clock_state
 from sunarc.imager.runtime.host import listen, prepare_state
 from sunarc.imager.settings.model import Settings
 from sunarc.imager.web.middleware.admission import read_token
+from sunarc.imager.workers import http_exchange
 from sunarc.imager.workers.calibrating.provisional_pose import FirstPose
 from sunarc.imager.workers.hub_connection import HubConnection, HubRefusal
 from sunarc.imager.workers.push import Sink
@@ -155,6 +155,8 @@ _LEAST_FREE_BYTES = 2_000_000_000
 _LARGEST_CLOCK_ERROR_S = 1.0
 _OLDEST_BACKUP = timedelta(days=3)
 _ANSWER_S = 2.0
+_MOST_STATUS_BYTES = 1_000_000
+"""Of the answer of whatever listens at the service's port; a status has some kilobytes."""
 _RECEIVER_S = 12.0
 """For a receiver of messages or rows, its name's resolution included; a broker has 10 s, see `MqttBroker`."""
 
@@ -505,10 +507,13 @@ def _versions() -> tuple[Outcome, str]:
 def _running(settings: Settings) -> dict[str, Any] | None:
     """Return the status of the service that runs with these settings; None when none answers."""
     host = f"[{settings.api.host}]" if ":" in settings.api.host else settings.api.host
+    url = urllib.parse.urlsplit(f"http://{host}:{settings.api.port}/v1/status")
+    limit = http_exchange.Limit(_ANSWER_S, monotonic=SystemClock().monotonic, heartbeat=lambda: None)
+    request = http_exchange.HttpRequest(method="GET", url=url, headers={}, body=b"")
     try:
-        with urllib.request.urlopen(f"http://{host}:{settings.api.port}/v1/status", timeout=_ANSWER_S) as answer:
-            status = json.load(answer)
-    except (OSError, ValueError):
+        answer = http_exchange.fetch(request, context=None, limit=limit, most_bytes=_MOST_STATUS_BYTES)
+        status = json.loads(answer.body)
+    except (OSError, ValueError, http_exchange.UnfinishedError):
         return None
     return status if isinstance(status, dict) and status.get("camera_name") == settings.name else None
 
