@@ -6,15 +6,16 @@ import csv
 import itertools
 import math
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from datetime import datetime
-from typing import TextIO
+from functools import partial
+from typing import NamedTuple, TextIO, TypeVar
 
 import numpy as np
 
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.common.array_types import FloatArray, IntArray
+from sunarc.common.array_types import FloatArray, IntArray, NameArray
 from sunarc.common.errors import InputError
 from sunarc.common.utc import DAY_S, parse_time, rfc3339
 from sunarc.sky.directions import angles_from_direction, direction_from_angles
@@ -28,7 +29,18 @@ _DIRECTION_COLUMNS = ("zenith_deg", "azimuth_deg")
 _CLOCK_BOUNDS_S = (0.0, DAY_S)
 _SEPARATORS = (",", ";", "\t")
 _DECIMAL_COMMA = re.compile(r"^(\s*[+-]?\d*),(\d+(?:[eE][+-]?\d+)?\s*)$")
-_ZENITH_BOUNDS_DEG, _AZIMUTH_BOUNDS_DEG = (0.0, 180.0), (-360.0, 360.0)
+_DIRECTION_BOUNDS = (0.0, 180.0), (-360.0, 360.0)
+
+
+class Places(NamedTuple):
+    """Places of rows for errors: the text before the number of each, and the numbers, (n,)."""
+
+    text: str
+    number: IntArray
+
+    def of(self, row: int) -> str:
+        """Return the place of a row."""
+        return f"{self.text} {self.number[row]}"
 
 
 def read_sightings(lines: Iterable[str], *, name: str, site: Site | None = None) -> Sightings:
@@ -54,35 +66,16 @@ def read_sightings(lines: Iterable[str], *, name: str, site: Site | None = None)
     return with_named_bodies(points, site, wheres=wheres)
 
 
-def read_unplaced(lines: Iterable[str], *, name: str) -> tuple[Sightings, list[str]]:
+def read_unplaced(lines: Iterable[str], *, name: str) -> tuple[Sightings, Places]:
     """Read sightings as `read_sightings` does, but bodies by their names have no direction yet; and where each stands.
 
     They are complete after `with_named_bodies`.
     """
-    wheres: list[str] = []
-    of_camera: list[tuple[str, str]] = []
-    rows: list[tuple[float, ...]] = []
-    body: list[str] = []
-    for where, row in _rows(lines, name=name, required=_REQUIRED):
-        direction = _direction(row, where=where)
-        wheres.append(where)
-        of_camera.append((row.get("camera") or "", row.get("epoch") or ""))
-        body.append((row.get("body") or "").strip() or "sun")
-        rows.append(
-            (
-                parse_time(row["time_utc"], where=f"{where}, time_utc").timestamp(),
-                _number(row["x_px"], where=f"{where}, x_px"),
-                _number(row["y_px"], where=f"{where}, y_px"),
-                _sigma(row.get("sigma_px"), where=f"{where}, sigma_px"),
-                _between(row.get("temperature_c"), *TEMPERATURE_BOUNDS_C, where=f"{where}, temperature_c"),
-                PA_PER_HPA * _between(row.get("pressure_hpa"), *PRESSURE_BOUNDS_HPA, where=f"{where}, pressure_hpa"),
-                _between(row.get("clock_error_s"), *_CLOCK_BOUNDS_S, where=f"{where}, clock_error_s"),
-                *direction,
-            )
-        )
-    columns = np.array(rows, dtype=np.float64).reshape(-1, 9)
+    parts = [_first_fault_of(_unplaced, part) for part in _parts(lines, name=name, required=_REQUIRED)]
+    columns = np.concatenate([np.zeros((0, 9)), *(one.columns for one in parts)])
+    epochs = _epochs([one.of_camera for one in parts], [one.columns[:, 0] for one in parts], name=name)
     return Sightings.of(
-        epoch=_epochs(of_camera, columns[:, 0], name=name),
+        epoch=epochs,
         unix_s=columns[:, 0],
         pixels=columns[:, 1:3],
         sigma_px=columns[:, 3],
@@ -90,11 +83,50 @@ def read_unplaced(lines: Iterable[str], *, name: str) -> tuple[Sightings, list[s
         pressure=columns[:, 5],
         clock_error_s=columns[:, 6],
         directions=direction_from_angles(zenith_deg=columns[:, 7], azimuth_deg=columns[:, 8]),
-        body=np.array(body, dtype=np.str_),
-    ), wheres
+        body=np.concatenate([np.zeros(0, dtype=np.str_), *(one.body for one in parts)]),
+    ), Places(f"{name}, line", np.concatenate([np.zeros(0, dtype=np.int64), *(one.line for one in parts)]))
 
 
-def with_named_bodies(points: Sightings, site: Site | None, *, wheres: Sequence[str]) -> Sightings:
+class _Unplaced(NamedTuple):
+    """Some rows of sightings: line (n,); columns (n, 9): time, x, y, sigma, air, clock's error and angles.
+
+    body (n,), of_camera: the camera and the epoch of each row, those alone that differ where all are alike.
+    """
+
+    line: IntArray
+    columns: FloatArray
+    body: NameArray
+    of_camera: list[tuple[str, str]]
+
+
+def _unplaced(part: _Part) -> _Unplaced:
+    """Return the sightings of some rows."""
+    zenith, azimuth = (part.within(*one) for one in zip(_DIRECTION_COLUMNS, _DIRECTION_BOUNDS, strict=True))
+    alone = np.flatnonzero(np.isnan(zenith) != np.isnan(azimuth))
+    if alone.size:
+        missing = _DIRECTION_COLUMNS[0 if math.isnan(zenith[alone[0]]) else 1]
+        where = part.where(int(alone[0]), missing)
+        raise InputError(field=where, problem="is empty beside the other angle", remedy="give both")
+    columns = (
+        part.times("time_utc"),
+        part.numbers("x_px"),
+        part.numbers("y_px"),
+        part.read("sigma_px", _sigma),
+        part.within(_AIR_COLUMNS[0], TEMPERATURE_BOUNDS_C),
+        PA_PER_HPA * part.within(_AIR_COLUMNS[1], PRESSURE_BOUNDS_HPA),
+        part.within("clock_error_s", _CLOCK_BOUNDS_S),
+        zenith,
+        azimuth,
+    )
+    body = part.cells.get("body")
+    names = np.full(len(part.line), SUN) if body is None else np.array([one.strip() or SUN for one in body])
+    camera, epoch = (part.cells.get(name) or [""] for name in ("camera", "epoch"))
+    n = max(len(camera), len(epoch))
+    of_camera = list(zip(camera * (n // len(camera)), epoch * (n // len(epoch)), strict=True))
+    return _Unplaced(part.line, np.stack(columns, axis=-1), names, of_camera)
+
+
+def with_named_bodies(points: Sightings, site: Site | None, *, wheres: Places) -> Sightings:
     """Return sightings whose bodies other than the sun have the directions that a site gives their names.
 
     Parameters
@@ -119,7 +151,7 @@ def with_named_bodies(points: Sightings, site: Site | None, *, wheres: Sequence[
     if unknown.size:
         row = int(named[unknown[0]])
         raise InputError(
-            field=f"{wheres[row]}, body",
+            field=f"{wheres.of(row)}, body",
             problem=f"{str(points.body[row])!r} is not known",
             remedy="give its zenith_deg and azimuth_deg, or sun sightings",
         )
@@ -128,12 +160,13 @@ def with_named_bodies(points: Sightings, site: Site | None, *, wheres: Sequence[
     return replace(points, directions=directions)
 
 
-def _epochs(of_camera: Sequence[tuple[str, str]], unix_s: FloatArray, *, name: str) -> IntArray:
-    """Return the pose epochs (n,) of rows in the order of their first times (`unix_s`, (n,)).
+def _epochs(of_parts: Sequence[list[tuple[str, str]]], unix_s: Sequence[FloatArray], *, name: str) -> IntArray:
+    """Return the pose epochs (n,) of rows in the order of their first times (of each part, (n,)).
 
     InputError where the rows are of several cameras.
     """
-    cameras = sorted({camera for camera, _ in of_camera})
+    n = sum(one.size for one in unix_s)
+    cameras = sorted({camera for part in of_parts for camera, _ in part})
     if len(cameras) > 1:
         raise InputError(
             field=f"{name}, camera",
@@ -141,24 +174,15 @@ def _epochs(of_camera: Sequence[tuple[str, str]], unix_s: FloatArray, *, name: s
             remedy="give the rows of one camera",
         )
     if cameras in ([], [""]):
-        return np.zeros(len(of_camera), dtype=np.int64)
-    names, of_row = np.unique([epoch for _, epoch in of_camera], return_inverse=True)
+        return np.zeros(n, dtype=np.int64)
+    of_rows = [
+        np.broadcast_to([epoch for _, epoch in part], time.size) for part, time in zip(of_parts, unix_s, strict=True)
+    ]
+    names, of_row = np.unique(np.concatenate(of_rows), return_inverse=True)
     begins = np.full(names.size, np.inf)
-    np.minimum.at(begins, of_row, unix_s)
+    np.minimum.at(begins, of_row, np.concatenate(unix_s))
     order = np.argsort(begins, kind="stable")  # as text "10" stands before "2"
     return np.argsort(order)[of_row].astype(np.int64)
-
-
-def _direction(row: dict[str, str], *, where: str) -> tuple[float, float]:
-    """Return the stated zenith angle and azimuth, degrees; NaN for both where the sun is meant."""
-    zenith, azimuth = (
-        _between(row.get(column), *bounds, where=f"{where}, {column}")
-        for column, bounds in zip(_DIRECTION_COLUMNS, (_ZENITH_BOUNDS_DEG, _AZIMUTH_BOUNDS_DEG), strict=True)
-    )
-    if math.isnan(zenith) != math.isnan(azimuth):
-        missing = _DIRECTION_COLUMNS[0] if math.isnan(zenith) else _DIRECTION_COLUMNS[1]
-        raise InputError(field=f"{where}, {missing}", problem="is empty beside the other angle", remedy="give both")
-    return zenith, azimuth
 
 
 def write_sightings(
@@ -197,21 +221,12 @@ def write_sightings(
 
 def read_pairs(lines: Iterable[str], *, columns: tuple[str, str], name: str) -> FloatArray:
     """Read two columns of numbers, (n, 2); `InputError` names line and column."""
-    rows = [
-        tuple(_number(row[column], where=f"{where}, {column}") for column in columns)
-        for where, row in _rows(lines, name=name, required=columns)
-    ]
-    return np.array(rows, dtype=np.float64).reshape(-1, 2)
 
+    def pairs(part: _Part) -> FloatArray:
+        return np.stack([part.numbers(column) for column in columns], axis=-1)
 
-def _between(text: str | None, low: float, high: float, *, where: str) -> float:
-    """Return a number within limits; NaN for an empty cell."""
-    if not (text or "").strip():
-        return math.nan
-    value = _number(str(text), where=where)
-    if not low <= value <= high:
-        raise InputError(field=where, problem=f"{value:g} is not within {low:g} to {high:g}", remedy="correct the cell")
-    return value
+    parts = _parts(lines, name=name, required=columns)
+    return np.concatenate([np.zeros((0, 2)), *(_first_fault_of(pairs, part) for part in parts)])
 
 
 def write_columns(target: TextIO, columns: dict[str, FloatArray], *, places: dict[str, int]) -> None:
@@ -226,8 +241,68 @@ def _cell(value: float, *, places: int) -> str:
     return "" if math.isnan(value) else f"{value:.{places}f}"
 
 
-def _rows(lines: Iterable[str], *, name: str, required: Sequence[str]) -> Iterator[tuple[str, dict[str, str]]]:
-    """Yield each row with its place; columns are separated as in the header, by commas, semicolons or tabs.
+_ROWS = 20_000
+"""Rows that are read together: enough to be quick, few enough to take little memory."""
+_UTC = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d(\.\d{1,6})?Z")
+
+
+_Read = TypeVar("_Read")
+
+
+class _Part(NamedTuple):
+    """Some rows of a file: its name; the line of each, (n,); the cells of each column."""
+
+    name: str
+    line: IntArray
+    cells: dict[str, list[str]]
+
+    def row(self, row: int) -> _Part:
+        """Return one row."""
+        return _Part(
+            self.name, self.line[row : row + 1], {key: cells[row : row + 1] for key, cells in self.cells.items()}
+        )
+
+    def where(self, row: int, column: str) -> str:
+        """Return where a cell stands."""
+        return f"{self.name}, line {self.line[row]}, {column}"
+
+    def read(self, column: str, read: Callable[..., float]) -> FloatArray:
+        """Return the values (n,) that a function reads from the cells and their places; NaN without the column."""
+        cells = self.cells.get(column)
+        if cells is None:
+            return np.full(self.line.size, np.nan)
+        return np.array([read(cell, where=self.where(row, column)) for row, cell in enumerate(cells)], dtype=np.float64)
+
+    def numbers(self, column: str) -> FloatArray:
+        """Return a column of finite numbers, (n,)."""
+        try:
+            values = np.fromiter(map(float, self.cells[column]), np.float64, self.line.size)
+        except ValueError:
+            return self.read(column, _number)
+        return values if np.all(np.isfinite(values)) else self.read(column, _number)
+
+    def within(self, column: str, bounds: tuple[float, float]) -> FloatArray:
+        """Return a column of numbers within bounds, (n,); NaN where a cell is empty, and without the column."""
+        return self.read(column, partial(_between, bounds=bounds))
+
+    def times(self, column: str) -> FloatArray:
+        """Return a column of times, (n,), seconds since 1970-01-01 UTC."""
+        cells = self.cells[column]
+        if all(map(_UTC.fullmatch, cells)):  # the usual form, which numpy reads by itself
+            try:
+                microseconds = np.array([cell[:-1] for cell in cells], dtype="datetime64[us]").astype(np.int64)
+            except ValueError:
+                return self.read(column, _time)
+            return np.asarray(microseconds / 1e6)
+        return self.read(column, _time)
+
+
+def _time(text: str, *, where: str) -> float:
+    return parse_time(text, where=where).timestamp()
+
+
+def _parts(lines: Iterable[str], *, name: str, required: Sequence[str]) -> Iterator[_Part]:
+    """Yield the rows some at a time; columns are separated as in the header, by commas, semicolons or tabs.
 
     Where it is not by commas, a comma within a number is its decimal point: spreadsheets of most languages write so.
     """
@@ -249,18 +324,32 @@ def _rows(lines: Iterable[str], *, name: str, required: Sequence[str]) -> Iterat
             problem=f"no column {', '.join(missing)} in the header",
             remedy=f"the header must name {','.join(required)}, separated by commas, semicolons or tabs",
         )
-    for row in reader:
-        if not any(cell.strip() for cell in row):
-            continue
-        where = f"{name}, line {reader.line_num}"
-        if len(row) != len(names):
+    rows = ((reader.line_num, row) for row in reader if any(cell.strip() for cell in row))
+    while some := list(itertools.islice(rows, _ROWS)):
+        whole = list(itertools.takewhile(lambda item: len(item[1]) == len(names), some))
+        columns = [list(column) for column in zip(*(row for _, row in whole), strict=True)]
+        if separator != ",":
+            columns = [[_DECIMAL_COMMA.sub(r"\1.\2", cell) for cell in column] for column in columns]
+        if whole:
+            line = np.fromiter((number for number, _ in whole), np.int64, len(whole))
+            yield _Part(name, line, dict(zip(names, columns, strict=True)))
+        if len(whole) < len(some):
+            number, row = some[len(whole)]
             raise InputError(
-                field=where,
+                field=f"{name}, line {number}",
                 problem=f"{len(row)} cells for {len(names)} columns",
                 remedy="write one cell a column; where numbers have decimal commas, separate the columns by semicolons",
             )
-        cells = row if separator == "," else [_DECIMAL_COMMA.sub(r"\1.\2", cell) for cell in row]
-        yield where, dict(zip(names, cells, strict=True))
+
+
+def _first_fault_of(read: Callable[[_Part], _Read], part: _Part) -> _Read:
+    """Return the values that a function reads from rows; InputError names the first row that is at fault."""
+    try:
+        return read(part)
+    except InputError:
+        for row in range(part.line.size):
+            read(part.row(row))
+        raise
 
 
 def _number(text: str, *, where: str) -> float:
@@ -273,10 +362,20 @@ def _number(text: str, *, where: str) -> float:
     return value
 
 
-def _sigma(text: str | None, *, where: str) -> float:
-    if text is None or not text.strip():
+def _sigma(text: str, *, where: str) -> float:
+    if not text.strip():
         return math.nan
     value = _number(text, where=where)
     if value <= 0.0:
         raise InputError(field=where, problem=f"{text!r} is not positive", remedy="give the 1-sigma per axis in px")
+    return value
+
+
+def _between(text: str, *, bounds: tuple[float, float], where: str) -> float:
+    """Return a number within limits; NaN for an empty cell."""
+    if not text.strip():
+        return math.nan
+    (low, high), value = bounds, _number(text, where=where)
+    if not low <= value <= high:
+        raise InputError(field=where, problem=f"{value:g} is not within {low:g} to {high:g}", remedy="correct the cell")
     return value
