@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import io
 import math
+import tracemalloc
 from datetime import UTC, datetime
 
 import numpy as np
@@ -32,6 +33,35 @@ def test_sigma_and_body_may_be_left_out_and_columns_may_stand_in_any_order() -> 
     table = read_sightings(["y_px,time_utc,x_px", "2,2013-05-13T13:30:00-05:00,1"], name="points.csv")
     assert table.pixels.tolist() == [[1.0, 2.0]]
     assert table.unix_s.tolist() == [datetime(2013, 5, 13, 18, 30, tzinfo=UTC).timestamp()]
+
+
+def test_times_of_any_form_are_those_that_python_reads() -> None:
+    times = ["2013-05-13T18:30:00.123456Z", "2013-05-13 18:30:01.5Z", "1969-12-31T23:59:59.9Z", "2013-05-13T18:30:02Z"]
+    usual = read_sightings([HEADER, *(f"{time},1,2,," for time in times)], name="points.csv")
+    mixed = read_sightings(
+        [HEADER, *(f"{time},1,2,," for time in [*times, "20130513T183000+00:00"])], name="points.csv"
+    )
+    expected = [datetime.fromisoformat(time).timestamp() for time in times]
+    assert usual.unix_s.tolist() == mixed.unix_s[:4].tolist() == expected
+
+
+def test_of_many_faults_the_first_row_is_named() -> None:
+    rows = [ROW] * 30_000
+    rows[20_100], rows[20_050], rows[25_000] = "2013-02-30T00:00:00Z,1,2,,", "2013-05-13T18:30:00Z,1,x,,", "short"
+    with pytest.raises(InputError, match="line 20052, y_px: 'x'"):
+        read_sightings([HEADER, *rows], name="points.csv")
+    with pytest.raises(InputError, match="line 20102, time_utc: '2013-02-30T00:00:00Z'"):
+        read_sightings([HEADER, *rows[:20_050], ROW, *rows[20_051:]], name="points.csv")
+
+
+def test_reading_takes_memory_for_the_numbers_not_for_the_text() -> None:
+    lines = [HEADER, *(f"2013-05-13T18:{n // 60 % 60:02d}:{n % 60:02d}Z,{n},883.25,0.01," for n in range(100_000))]
+    tracemalloc.start()
+    table = read_sightings(iter(lines), name="points.csv")
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert len(table) == 100_000
+    assert peak < 500 * len(table)
 
 
 def test_empty_lines_and_a_byte_order_mark_do_no_harm() -> None:

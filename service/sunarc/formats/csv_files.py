@@ -331,8 +331,8 @@ def _parts(lines: Iterable[str], *, name: str, required: Sequence[str]) -> Itera
         if separator != ",":
             columns = [[_DECIMAL_COMMA.sub(r"\1.\2", cell) for cell in column] for column in columns]
         if whole:
-            line = np.fromiter((number for number, _ in whole), np.int64, len(whole))
-            yield _Part(name, line, dict(zip(names, columns, strict=True)))
+            numbers = np.fromiter((number for number, _ in whole), np.int64, len(whole))
+            yield _Part(name, numbers, dict(zip(names, columns, strict=True)))
         if len(whole) < len(some):
             number, row = some[len(whole)]
             raise InputError(

@@ -13,6 +13,7 @@ from sunarc.calibration.lens_library.lens_type import LensType
 from sunarc.calibration.model.options import USUAL_OPTIONS, CalibrationOptions, ImageCircle, Mirrored
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S, Kind, Sightings, time_step_s
+from sunarc.calibration.normal_points import dense_record
 from sunarc.calibration.pose import estimate_pose
 from sunarc.calibration.quality.tilt import require_level
 from sunarc.calibration.stated_prior import PriorTolerances, calibrate_with_prior
@@ -75,23 +76,25 @@ def fit_as_stated(
     if clock_error_s is not None:  # as far as a fit allows for one; `with_clock` adds what is beyond
         points = replace(points, clock_error_s=np.full(1, min(clock_error_s, MAX_CLOCK_ERROR_S)))
     _require_suns(points, options)
+    dense = dense_record(points, site=site, image_size=image_size, options=options, circle=circle)
+    given = points if dense is None else dense.normal
     known = None if start is None else _accepted_here(start.known, site)
     if start is not None and known is not None:
         require_level(known.pose.theta_zz_deg, options.level_within_deg, field="--level-within", name=start.name)
     if lens is not None:
         require_lens(lens, image_size=image_size, options=options)
-        solved, points = calibrate_with_lens(points, lens=lens, site=site, options=options, circle=circle)
+        solved, given = calibrate_with_lens(given, lens=lens, site=site, options=options, circle=circle)
     elif start is not None and pose_only:
-        solved = _posed(points, start, image_size=image_size, site=site, options=options)
+        solved = _posed(given, start, image_size=image_size, site=site, options=options)
     elif start is not None and within is not None:
         prior = start_camera(start, image_size, options, posed=within.pose_deg is not None)
-        solved = calibrate_with_prior(points, prior=prior, tolerances=within, site=site, options=options)
+        solved = calibrate_with_prior(given, prior=prior, tolerances=within, site=site, options=options)
     else:
         begin = None if start is None else start_camera(start, image_size, options)
         if begin is not None:  # the file states the handedness
             options = replace(options, mirrored="yes" if begin.mirrored else "no")
-        solved, points = calibrate_moved(
-            points,
+        solved, given = calibrate_moved(
+            given,
             site=site,
             image_size=image_size,
             options=options,
@@ -100,9 +103,13 @@ def fit_as_stated(
             tilt_known=known is not None,
         )
     if start is not None or lens is not None:
-        solved = _explained(solved, points, options=options, circle=circle)
+        solved = _explained(solved, given, options=options, circle=circle)
     if keep_provisional:
         solved = provisional(solved, limit_deg=options.max_sky_deg)
+    if dense is None:
+        points = given
+    else:
+        solved, points = dense.of_all(solved, given)
     return Moved(with_clock(solved, clock_error_s, step_s=time_step_s(points.unix_s)), points)
 
 

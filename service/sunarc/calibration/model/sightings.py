@@ -141,6 +141,19 @@ class Filtering(NamedTuple):
     n_below_horizon: int = 0
     below: tuple[FloatArray, FloatArray] = (np.zeros((0, 2)), np.zeros((0, 3)))
 
+    def after(self, before: Filtering) -> Filtering:
+        """Return this with an earlier filtering of the same sightings."""
+        dropped = {one.code: int(one.data["n"]) for one in before.dropped}
+        for one in self.dropped:
+            dropped[one.code] = dropped.get(one.code, 0) + int(one.data["n"])
+        return Filtering(
+            dropped=tuple(Finding(code, {"n": n}) for code, n in dropped.items()),
+            static=(*before.static, *self.static),
+            stated_sigma_px=before.stated_sigma_px if math.isfinite(before.stated_sigma_px) else self.stated_sigma_px,
+            n_below_horizon=before.n_below_horizon + self.n_below_horizon,
+            below=(np.concatenate([before.below[0], self.below[0]]), np.concatenate([before.below[1], self.below[1]])),
+        )
+
 
 _OF_THE_TABLE = {"pixels", "filtering"}
 """Fields that are not stated for all sightings where they have one row."""
@@ -168,6 +181,7 @@ class Sightings:
     kind : (n,) see `Kind`.
     clock_error_s : (n,) bound of the clock's error, s; NaN where unknown.
     temperature, pressure : (n,) of the air, °C and Pa; NaN where not measured: the site's are assumed.
+    count : (n,) how many sightings a row stands for, see `normal_points`.
     index : (n,) their rows in the sightings supplied.
     day : (n,) local mean solar day, counted from 1970.
     alone : (n,) whether the direction was stated: such a sighting has no neighbours in time.
@@ -191,6 +205,7 @@ class Sightings:
     clock_error_s: FloatArray = field(default_factory=lambda: np.full(1, np.nan))
     temperature: FloatArray = field(default_factory=lambda: np.full(1, np.nan))
     pressure: FloatArray = field(default_factory=lambda: np.full(1, np.nan))
+    count: IntArray = field(default_factory=lambda: np.ones(1, np.int64))
     index: IntArray = field(default_factory=lambda: np.zeros(1, np.int64))
     day: IntArray = field(default_factory=lambda: np.zeros(1, np.int64))
     alone: BoolArray = field(default_factory=lambda: np.zeros(1, np.bool_))
@@ -389,7 +404,7 @@ def filter_sightings(points: Sightings, *, site: Site, image_size: tuple[int, in
         alone=alone[retained],
         day=day,
         motion=np.cross(directions, EARTH_RATE * pole_enu(site)),
-        filtering=filtering,
+        filtering=filtering.after(points.filtering),
         **_of_the_air(usable, directions, day, site),
     )
 

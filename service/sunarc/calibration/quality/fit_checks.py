@@ -124,7 +124,7 @@ def not_moving(given: Given) -> Data | None:
     n_static = sum(position.n for position in given.usable.filtering.static)
     if not n_static:
         return None
-    return {"n": n_static, "n_all": len(given.usable) + n_static, "places": positions(given.usable)}
+    return {"n": n_static, "n_all": int(np.sum(given.usable.count)) + n_static, "places": positions(given.usable)}
 
 
 def count(given: Given) -> Data:
@@ -146,7 +146,7 @@ def extent(given: Given) -> Data:
 def below_horizon(given: Given) -> Data | None:
     """Return how many sightings are of times with the sun below the horizon; None of so few that they may be false."""
     usable, below = given.usable, given.usable.filtering.n_below_horizon
-    n_all = below + int(np.sum(~usable.alone)) + sum(position.n for position in usable.filtering.static)
+    n_all = below + int(np.sum(usable.count[~usable.alone])) + sum(position.n for position in usable.filtering.static)
     return None if below < FEWEST_BELOW else {"n": below, "n_all": n_all, "share": below / n_all}
 
 
@@ -167,7 +167,7 @@ def seen_below_horizon(judged: JudgedFit) -> Data | None:
         return None
     pixels, directions = judged.usable.filtering.below
     off_deg = np.degrees(angular_distance(unproject(judged.calibration.camera, pixels), directions))
-    return {"n": int(np.sum(off_deg < _SEEN_BELOW_DEG)), "n_all": len(judged.usable) + len(pixels)}
+    return {"n": int(np.sum(off_deg < _SEEN_BELOW_DEG)), "n_all": int(np.sum(judged.usable.count)) + len(pixels)}
 
 
 def scatter(judged: JudgedFit) -> Data:
