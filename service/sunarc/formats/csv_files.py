@@ -32,7 +32,7 @@ _DECIMAL_COMMA = re.compile(r"^(\s*[+-]?\d*),(\d+(?:[eE][+-]?\d+)?\s*)$")
 _DIRECTION_BOUNDS = (0.0, 180.0), (-360.0, 360.0)
 
 
-class Places(NamedTuple):
+class RowPlaces(NamedTuple):
     """Places of rows for errors: the text before the number of each, and the numbers, (n,)."""
 
     text: str
@@ -66,7 +66,7 @@ def read_sightings(lines: Iterable[str], *, name: str, site: Site | None = None)
     return with_named_bodies(points, site, wheres=wheres)
 
 
-def read_unplaced(lines: Iterable[str], *, name: str) -> tuple[Sightings, Places]:
+def read_unplaced(lines: Iterable[str], *, name: str) -> tuple[Sightings, RowPlaces]:
     """Read sightings as `read_sightings` does, but bodies by their names have no direction yet; and where each stands.
 
     They are complete after `with_named_bodies`.
@@ -84,7 +84,7 @@ def read_unplaced(lines: Iterable[str], *, name: str) -> tuple[Sightings, Places
         clock_error_s=columns[:, 6],
         directions=direction_from_angles(zenith_deg=columns[:, 7], azimuth_deg=columns[:, 8]),
         body=np.concatenate([np.zeros(0, dtype=np.str_), *(one.body for one in parts)]),
-    ), Places(f"{name}, line", np.concatenate([np.zeros(0, dtype=np.int64), *(one.line for one in parts)]))
+    ), RowPlaces(f"{name}, line", np.concatenate([np.zeros(0, dtype=np.int64), *(one.line for one in parts)]))
 
 
 class _Unplaced(NamedTuple):
@@ -99,7 +99,7 @@ class _Unplaced(NamedTuple):
     of_camera: list[tuple[str, str]]
 
 
-def _unplaced(part: _Part) -> _Unplaced:
+def _unplaced(part: _CsvRows) -> _Unplaced:
     """Return the sightings of some rows."""
     zenith, azimuth = (part.within(*one) for one in zip(_DIRECTION_COLUMNS, _DIRECTION_BOUNDS, strict=True))
     alone = np.flatnonzero(np.isnan(zenith) != np.isnan(azimuth))
@@ -126,7 +126,7 @@ def _unplaced(part: _Part) -> _Unplaced:
     return _Unplaced(part.line, np.stack(columns, axis=-1), names, of_camera)
 
 
-def with_named_bodies(points: Sightings, site: Site | None, *, wheres: Places) -> Sightings:
+def with_named_bodies(points: Sightings, site: Site | None, *, wheres: RowPlaces) -> Sightings:
     """Return sightings whose bodies other than the sun have the directions that a site gives their names.
 
     Parameters
@@ -222,7 +222,7 @@ def write_sightings(
 def read_pairs(lines: Iterable[str], *, columns: tuple[str, str], name: str) -> FloatArray:
     """Read two columns of numbers, (n, 2); `InputError` names line and column."""
 
-    def pairs(part: _Part) -> FloatArray:
+    def pairs(part: _CsvRows) -> FloatArray:
         return np.stack([part.numbers(column) for column in columns], axis=-1)
 
     parts = _parts(lines, name=name, required=columns)
@@ -249,16 +249,16 @@ _UTC = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d(\.\d{1,6})?Z")
 _Read = TypeVar("_Read")
 
 
-class _Part(NamedTuple):
+class _CsvRows(NamedTuple):
     """Some rows of a file: its name; the line of each, (n,); the cells of each column."""
 
     name: str
     line: IntArray
     cells: dict[str, list[str]]
 
-    def row(self, row: int) -> _Part:
+    def row(self, row: int) -> _CsvRows:
         """Return one row."""
-        return _Part(
+        return _CsvRows(
             self.name, self.line[row : row + 1], {key: cells[row : row + 1] for key, cells in self.cells.items()}
         )
 
@@ -301,7 +301,7 @@ def _time(text: str, *, where: str) -> float:
     return parse_time(text, where=where).timestamp()
 
 
-def _parts(lines: Iterable[str], *, name: str, required: Sequence[str]) -> Iterator[_Part]:
+def _parts(lines: Iterable[str], *, name: str, required: Sequence[str]) -> Iterator[_CsvRows]:
     """Yield the rows some at a time; columns are separated as in the header, by commas, semicolons or tabs.
 
     Where it is not by commas, a comma within a number is its decimal point: spreadsheets of most languages write so.
@@ -332,7 +332,7 @@ def _parts(lines: Iterable[str], *, name: str, required: Sequence[str]) -> Itera
             columns = [[_DECIMAL_COMMA.sub(r"\1.\2", cell) for cell in column] for column in columns]
         if whole:
             numbers = np.fromiter((number for number, _ in whole), np.int64, len(whole))
-            yield _Part(name, numbers, dict(zip(names, columns, strict=True)))
+            yield _CsvRows(name, numbers, dict(zip(names, columns, strict=True)))
         if len(whole) < len(some):
             number, row = some[len(whole)]
             raise InputError(
@@ -342,7 +342,7 @@ def _parts(lines: Iterable[str], *, name: str, required: Sequence[str]) -> Itera
             )
 
 
-def _first_fault_of(read: Callable[[_Part], _Read], part: _Part) -> _Read:
+def _first_fault_of(read: Callable[[_CsvRows], _Read], part: _CsvRows) -> _Read:
     """Return the values that a function reads from rows; InputError names the first row that is at fault."""
     try:
         return read(part)

@@ -14,7 +14,7 @@ from sunarc.calibration.model.sightings import Sightings as Points
 from sunarc.common.array_types import FloatArray, stacked
 from sunarc.common.bounds import require_bounds
 from sunarc.common.errors import InputError
-from sunarc.formats.csv_files import Places, read_unplaced, with_named_bodies
+from sunarc.formats.csv_files import RowPlaces, read_unplaced, with_named_bodies
 from sunarc.public.inputs import Times, Values, asked_times, number, numbers, texts, unix_seconds
 from sunarc.sky.directions import direction_from_angles
 from sunarc.sky.night import SUN
@@ -131,7 +131,7 @@ class Sightings:
     """The sightings as the library has them; internal."""
     name: str
     """Name of the file that they are from."""
-    wheres: Places
+    wheres: RowPlaces
     """Where each row stands; internal."""
 
     def __init__(
@@ -177,14 +177,14 @@ class Sightings:
             body=np.array(np.broadcast_to(bodies.ravel(), size)),
             **stated,
         )
-        self._set(points, "sightings", Places("sightings, row", np.arange(size)))
+        self._set(points, "sightings", RowPlaces("sightings, row", np.arange(size)))
 
-    def _set(self, points: Points, name: str, wheres: Places) -> None:
+    def _set(self, points: Points, name: str, wheres: RowPlaces) -> None:
         for key, value in (("points", points), ("name", name), ("wheres", wheres)):
             object.__setattr__(self, key, value)
 
     @classmethod
-    def of_points(cls, points: Points, name: str, wheres: Places) -> Sightings:
+    def of_points(cls, points: Points, name: str, wheres: RowPlaces) -> Sightings:
         """Return sightings that the library has; internal."""
         made = cls.__new__(cls)
         made._set(points, name, wheres)  # noqa: SLF001 - its own
@@ -203,7 +203,7 @@ class Sightings:
         """
         parts = [one.sightings().points for one in found]
         points = stacked(parts) if parts else Points.of(unix_s=[], pixels=[])
-        return cls.of_points(points, "sightings", Places("sightings, row", np.arange(len(points))))
+        return cls.of_points(points, "sightings", RowPlaces("sightings, row", np.arange(len(points))))
 
     def at(self, site: Site) -> Points:
         """Return the sightings with the directions of the bodies at a site; internal."""
