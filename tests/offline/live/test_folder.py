@@ -283,6 +283,32 @@ def test_images_of_another_size_and_of_another_camera_are_left_out_and_the_right
     assert "images_of_another_size" in followed.codes()
 
 
+def test_a_picture_that_is_resized_is_the_cameras_with_another_lens_from_then_on(followed: Followed) -> None:
+    take(followed, 6)
+    serve_calibration_of(followed.service, LENS, MORNING.replace(day=12))
+    archive, small = followed.service.archive, Lens(size=200, focal_px=60.0, x=99.0, y=99.0)
+    first = followed.clock.now().replace(microsecond=0)
+    for _ in range(14):
+        time = followed.clock.now().replace(microsecond=0)
+        followed.write(allsky(time), shot(time, lens=small))
+        followed.turn()
+        followed.clock.advance(57.0)
+    record = archive.cameras.get("roof")
+    assert record is not None
+    assert record.image_size == (small.size, small.size)
+    assert archive.calibrations.current("roof") is None
+    former, present = archive.epochs.find("roof")
+    assert (former.ended_at, present.started_at, present.reason) == (first, first, "lens")
+    (event,) = archive.events.find("roof", kind="picture_resized")
+    assert (event.time, event.details["width"], event.details["width_before"]) == (first, small.size, LENS.size)
+    points = followed.points()
+    assert [point.time for point in points[6:]] == [first + n * timedelta(seconds=60) for n in range(14)]
+    for point in points[6:]:
+        assert (point.x_px, point.y_px) == pytest.approx(small.pixel(*sun_at(point.time)), abs=0.5)
+    assert archive.seen_files.refused("roof") == {}
+    assert "images_of_another_size" not in followed.codes()
+
+
 def test_an_image_that_is_refused_for_its_size_is_not_decoded(
     followed: Followed, monkeypatch: pytest.MonkeyPatch
 ) -> None:

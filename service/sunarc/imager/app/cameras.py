@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime
@@ -10,16 +9,15 @@ from datetime import datetime
 from sunarc.common.errors import ConfigurationError, InputError
 from sunarc.common.findings import Finding
 from sunarc.imager.archive.archive import Archive
-from sunarc.imager.archive.sightings import LENS_CHANGED, require_same_site
+from sunarc.imager.archive.sightings import require_same_site
 from sunarc.imager.archive.values import TO_ACKNOWLEDGE, CameraRecord, Event
 from sunarc.imager.cameras.aravis import open_aravis
 from sunarc.imager.cameras.frame import CameraInfo, SkyCamera
 from sunarc.imager.cameras.replay import open_replay
+from sunarc.imager.live.camera_record import begin_with_other_lens
 from sunarc.imager.runtime.clock import Clock
 from sunarc.imager.settings.model import Settings
 from sunarc.sky.site import Site
-
-_log = logging.getLogger(__name__)
 
 
 def camera_opener(settings: Settings, clock: Clock) -> Callable[[], SkyCamera]:
@@ -94,11 +92,7 @@ def note_other_camera(archive: Archive, record: CameraRecord, *, at: datetime) -
         return replace(record, serial=stored.serial)
     if record.serial == stored.serial:
         return record
-    current = archive.calibrations.current(record.name)
-    if current is not None:
-        archive.calibrations.retire(current.id, at=max(at, current.valid_from))
-    _open_epoch(archive, record.name, at)
-    retired = None if current is None else current.id
+    retired = begin_with_other_lens(archive, record.name, at)
     details = {"model": record.model, "serial": record.serial, "serial_before": stored.serial}
     replaced = Finding("camera_replaced", {**details, "calibration": retired or "none"})
     archive.events.add(
@@ -111,19 +105,6 @@ def note_other_camera(archive: Archive, record: CameraRecord, *, at: datetime) -
         )
     )
     return record
-
-
-def _open_epoch(archive: Archive, camera: str, at: datetime) -> None:
-    """Open a pose epoch with another lens; where a wrong clock has opened one later, divide the one before that."""
-    if archive.epochs.current(camera) is None:
-        return
-    try:
-        if any(epoch.started_at > at for epoch in archive.epochs.find(camera)):
-            archive.epochs.split(camera, at=at, reason=LENS_CHANGED)
-        else:
-            archive.epochs.open(camera, at=at, reason=LENS_CHANGED)
-    except InputError as error:
-        _log.warning("could not begin a pose epoch for the new camera: %s", error)
 
 
 def camera_record(info: CameraInfo, *, name: str, site: Site) -> CameraRecord:

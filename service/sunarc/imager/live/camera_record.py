@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import logging
+from dataclasses import replace
+from datetime import datetime
 from typing import TYPE_CHECKING
 
 from sunarc.common.errors import InputError
+from sunarc.common.findings import Finding
 from sunarc.imager.archive.archive import Archive
-from sunarc.imager.archive.sightings import require_same_site
-from sunarc.imager.archive.values import CameraRecord
+from sunarc.imager.archive.sightings import LENS_CHANGED, require_same_site
+from sunarc.imager.archive.values import CameraRecord, Event
 
 if TYPE_CHECKING:
     from sunarc.imager.settings.model import Settings  # with it come all packages
+
+
+_log = logging.getLogger(__name__)
 
 
 def known_camera(archive: Archive, settings: Settings) -> CameraRecord | None:
@@ -44,3 +51,41 @@ def register_camera(archive: Archive, settings: Settings, size: tuple[int, int])
             remedy="correct it, or give this camera another name",
         )
     return known
+
+
+def begin_with_other_lens(archive: Archive, camera: str, at: datetime) -> str | None:
+    """Retire the current calibration, a pinned one too, and open a pose epoch with another lens; return its id.
+
+    Where a wrong clock has opened an epoch later, the one before that is divided.
+    """
+    current = archive.calibrations.current(camera)
+    if current is not None:
+        archive.calibrations.retire(current.id, at=max(at, current.valid_from))
+    retired = None if current is None else current.id
+    if archive.epochs.current(camera) is None:
+        return retired
+    try:
+        if any(epoch.started_at > at for epoch in archive.epochs.find(camera)):
+            archive.epochs.split(camera, at=at, reason=LENS_CHANGED)
+        else:
+            archive.epochs.open(camera, at=at, reason=LENS_CHANGED)
+    except InputError as error:
+        _log.warning("could not begin a pose epoch with another lens: %s", error)
+    return retired
+
+
+def take_resized(archive: Archive, camera: CameraRecord, size: tuple[int, int], *, at: datetime) -> None:
+    """Store a camera's new image size (width, height), px, with another lens from then on, and an event."""
+    retired = begin_with_other_lens(archive, camera.name, at)
+    archive.cameras.save(replace(camera, width=size[0], height=size[1]))
+    resized = Finding(
+        "picture_resized",
+        {
+            "width": size[0],
+            "height": size[1],
+            "width_before": camera.width,
+            "height_before": camera.height,
+            "calibration": retired or "none",
+        },
+    )
+    archive.events.add(Event.of(resized, time=at, severity="warning", camera=camera.name))

@@ -28,6 +28,7 @@ from sunarc.imager.live import folder_files
 from sunarc.imager.live.file_frames import frame_of
 from sunarc.imager.live.folder_conditions import DATED_AGAIN, FUTURE, AheadOfClock, ArrivalTimes, LeftOut, time_rules
 from sunarc.imager.live.live_images import LiveImage, LiveImages
+from sunarc.imager.live.resized_pictures import ResizedPictures
 from sunarc.imager.runtime.clock import Clock
 from sunarc.imager.runtime.loop import DropOldestQueue, Loop
 from sunarc.imager.runtime.status import CameraStatus, CaptureStatus, Reason, StatusRegistry, condition
@@ -125,6 +126,7 @@ class FolderWorker:
         self._listing = folder_files.FolderListing(self._root, self.options.files)
         self._settling = folder_files.Settling(self._root, self.options.settle_s)
         self._left_out = LeftOut(self.board)
+        self._resized = ResizedPictures(self.camera.archive, self.camera.name)
         self._arrivals = ArrivalTimes(self.board, settle_s=self.options.settle_s)
         self._stamps: dict[str, str] = {}
         self._verdicts: dict[str, str] = {}
@@ -539,8 +541,12 @@ class FolderWorker:
             self._again[file.name] = self.clock.monotonic() + _AGAIN_S
             return
         self._write(file, dated, finding.code)
+        if finding.code == "file_size_differs" and dated is not None:
+            size = int(finding.data["width"]), int(finding.data["height"])
+            self.take_late(self._resized.note(file, dated.frame.time, size))
 
     def _seen(self, one: _Dated) -> None:
+        self._resized.clear()
         self._write(one.file, one, None)
 
     def _write(self, file: source_files.SourceFile, dated: _Dated | None, code: str | None) -> None:
