@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.special import chdtri
+from tests.calibration.conftest import SGP, SIZE, simulate
 from tests.fixtures.calibration import observed, small_camera, small_problem, spread_directions
 
+from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.fit.cross_validation import Doubts, HeldOut, chi_square_limit, doubts, held_out, without_parts
 from sunarc.calibration.fit.marginal_likelihood import Scales, marginal_fit, scale_grid
 from sunarc.calibration.fit.normal_equations import linear_system, most_probable_with_field
 from sunarc.calibration.fit.robust_fit import FitState
+from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.noise import Noise, NoiseGroups
 from sunarc.calibration.solve.problem import Bins
@@ -235,3 +238,19 @@ def test_the_limit_of_a_chi_square_is_scipys_inverse(chance: float) -> None:
     counts = [*range(1, 60), 150, 151, 1501]
     found = [chi_square_limit(count, chance) for count in counts]
     np.testing.assert_allclose(found, chdtri(counts, chance), rtol=1e-12)
+
+
+@pytest.mark.parametrize("beside", [-2, -1, 1, 2])
+def test_a_pose_that_another_day_hardly_shows_is_judged_alike_to_the_last_digits(beside: int) -> None:
+    points = simulate(days=(0.0, 1.0), sigma_px=0.3).points.select(slice(None, None, 4))
+    second_day = int(np.argmax(np.diff(points.unix_s))) + 1
+    # one or two sightings of the one day are of the other one's pose
+    points = replace(points, epoch=(np.arange(len(points)) >= second_day + beside).astype(np.int64))
+    rounding = 1e-9 * np.random.default_rng(1).standard_normal(points.pixels.shape)
+    stated = CalibrationOptions(projection="equisolid", mirrored="no")
+    one, other = (
+        calibrate(replace(points, pixels=pixels), site=SGP, image_size=SIZE, options=stated).evidence.held_out
+        for pixels in (points.pixels, points.pixels + rounding)
+    )
+    assert one["n"] > 0
+    assert one == pytest.approx(other, rel=1e-3, abs=1e-5)

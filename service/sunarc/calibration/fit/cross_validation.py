@@ -47,6 +47,9 @@ _AS_STATED = 4.0
 _MATTERS = 0.1
 """Variance of a coefficient of the field, in that of the noise, below which the field does not matter there."""
 _ROUNDING = 1e-10
+_POSE_PRECISION = 1e-2
+"""1 / 10² rad², about the fit's own pose: where one sighting of the other parts shows a pose, the turn about it is open
+all the same, and with less precision rounding takes the digits of all else."""
 
 
 class _Without(NamedTuple):
@@ -81,6 +84,8 @@ def without_parts(fit: FitState, usable: Sightings) -> list[_Without]:
     prior = prior_precision(size, scales.radial_px, scales.decentering_px, n_unit=system.n_unit)
     precision = np.concatenate([prior, np.ones(rows.shape[-1] - size)])
     at = np.concatenate([system.at, np.zeros(rows.shape[-1] - size)])
+    poses = slice(fit.problem.pose_slice(0).start, fit.problem.pose_slice(fit.problem.n_epochs - 1).stop)
+    precision[poses], at[poses] = _POSE_PRECISION, 0.0  # about the fit's
 
     def sums(bins: BoolArray) -> tuple[FloatArray, FloatArray]:
         weighed = (rows[bins] * system.observed.information[bins, None, None]).reshape(-1, at.size)
@@ -88,12 +93,13 @@ def without_parts(fit: FitState, usable: Sightings) -> list[_Without]:
 
     parts = [(part == one, part_of_bin == one) for one in range(int(part.max(initial=-1)) + 1)]
     of_parts = [sums(bins) for _, bins in parts]
-    whole = [sum(column) for column in zip(*of_parts, strict=True)]
     found = []
-    for (out, bins), mine in zip(parts, of_parts, strict=True):
+    for number, (out, bins) in enumerate(parts):
         if not np.setdiff1d(usable.epoch[out], usable.epoch[~out]).size:
-            covariance = inverses(whole[0] - mine[0] + np.diag(precision))
-            step = covariance @ (whole[1] - mine[1] - precision * at)
+            # added up, for a sum of all less the part's has no digits of a pose that few others show
+            own, pull = (sum(column) for column in zip(*of_parts[:number], *of_parts[number + 1 :], strict=True))
+            covariance = inverses(own + np.diag(precision))
+            step = covariance @ (pull - precision * at)
             found.append(_Without(out, bins, step, covariance, rows[bins]))
     return found
 
@@ -243,7 +249,7 @@ def _met(without: _Without, fit: FitState, usable: Sightings, judged: BoolArray)
     sun = np.bincount(fit.member[judged], minlength=without.bins.size)[without.bins] > 0
     rows, information = without.rows[sun], fit.system.observed.information[without.bins][sun]
     off = fit.system.residual[without.bins][sun] - rows @ without.step
-    variance = np.einsum("nap,pq,naq->n", rows, without.covariance, rows, optimize=True) + 2.0 / information
+    variance = np.maximum(np.einsum("nap,pq,naq->n", rows, without.covariance, rows, optimize=True), 0.0)
     flat = (rows * np.sqrt(information)[:, None, None]).reshape(-1, rows.shape[-1])
     # with B B' the part's information, B' times the unknowns is what it says, with noise of unit variance
     own = flat.T @ flat
@@ -260,7 +266,7 @@ def _met(without: _Without, fit: FitState, usable: Sightings, judged: BoolArray)
     return _Part(
         n=int(np.count_nonzero(without.out & judged)),
         rmse_px=math.sqrt(float(np.sum(off**2)) / len(off)),
-        stated_px=math.sqrt(float(np.mean(variance))),
+        stated_px=math.sqrt(float(np.mean(variance + 2.0 / information))),
         errors=(axes.T @ said) / np.sqrt(np.maximum(stated, 1.0)),  # below the noise's own is rounding
         open=stated > _OPEN,
         turned=turned,
