@@ -6,6 +6,8 @@ from typing import Any
 
 from sunarc.common.findings import findings_of
 from sunarc.common.messages import significant
+from sunarc.formats.calibration_document import from_document
+from sunarc.optics.mounting import pose_text
 
 
 def verdict_of(document: dict[str, Any]) -> str:
@@ -43,10 +45,11 @@ def _camera_rows(document: dict[str, Any]) -> tuple[list[list[str]], list[list[s
         ["projection", model["projection"] + (", mirrored" if document["image"]["mirrored"] else "")],
         ["focal length", "{:.3f}, {:.3f} px".format(*model["focal_length_px"])],
         ["principal point", "{:.3f}, {:.3f} px".format(*model["principal_point_px"])],
+        ["pose", pose_text(from_document(document).camera)],
         *([name.removesuffix("_deg"), f"{value:.3f}°"] for name, value in document["pose"].items()),
     ]
     extent = f"{significant(sky['sky_rms_deg'], 2)}° RMS, {significant(sky['sky_max_deg'], 2)}° at most"
-    return lens, [["1-sigma over the sky", extent], ["field beside the lens", field_text(sky["field"])]]
+    return lens, [["1-sigma over the sky", extent], ["residual field", field_text(sky["field"])]]
 
 
 def _remedies(verdict: dict[str, Any]) -> list[str]:
