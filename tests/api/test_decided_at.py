@@ -9,7 +9,7 @@ import pytest
 
 from sunarc.common.utc import rfc3339
 
-from .conftest import NOON
+from .conftest import NOON, document
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made
@@ -50,3 +50,11 @@ def test_what_is_asked_for_now_or_has_no_answer_has_no_such_time(made: Made, emp
     assert HEADER not in made.client.get("/v1/calibration").headers
     assert HEADER not in made.client.get("/v1/calibration?at=1999-01-01T00:00:00Z").headers
     assert HEADER not in empty.client.get(f"/v1/sun?at={BY_FIRST}").headers
+
+
+def test_a_candidate_that_an_operator_activated_later_was_decided_then(made: Made) -> None:
+    made.archive.calibrations.add(document("later", valid_from=NOON - timedelta(days=3)))
+    decided = NOON + timedelta(hours=2)
+    made.archive.calibrations.reinstate("later", at=NOON - timedelta(days=6), decided_at=decided, reason="surveyed")
+    answer = made.client.get(f"/v1/sun?at={BY_FIRST}")
+    assert (answer.json()["calibration"], answer.headers[HEADER]) == ("later", rfc3339(decided))

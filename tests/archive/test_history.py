@@ -7,6 +7,7 @@ import pytest
 
 from sunarc.common.errors import InputError, NotFoundError
 from sunarc.common.findings import Finding
+from sunarc.common.utc import rfc3339
 
 from .test_calibrations import MAY, document, served
 
@@ -29,7 +30,8 @@ def test_rolling_back_serves_a_copy_and_rewrites_no_past_answer(three: Archive) 
     assert [served(three, day) for day in (0, 9, 10, 20, 24.9, 25, 1000)] == ["a", "a", "b", "c", "c", "a-r1", "a-r1"]
     assert copy == three.calibrations.get("a-r1") == three.calibrations.current("roof")
     assert copy.document["id"] == "a-r1"
-    assert copy.findings[0] == Finding("activated_by_operator", {"reason": "c was worse"})
+    decided = {"reason": "c was worse", "decided_at": rfc3339(MAY + timedelta(days=25))}
+    assert copy.findings[0] == Finding("activated_by_operator", decided)
     told = three.events.find("roof")[0]
     assert (told.kind, told.details["calibration"], told.details["copied"]) == ("calibration_reinstated", "a-r1", "a")
     data = {"calibration": "a-r1", "reason": "c was worse", "copied": "a"}
@@ -45,8 +47,15 @@ def test_a_second_roll_back_has_a_name_of_its_own(three: Archive) -> None:
 
 
 def test_rolling_back_into_the_past_corrects_the_answers_from_there_on(three: Archive) -> None:
-    three.calibrations.reinstate("a", at=MAY + timedelta(days=15), reason="b was worse")
+    now = MAY + timedelta(days=25)
+    copy = three.calibrations.reinstate("a", at=MAY + timedelta(days=15), decided_at=now, reason="b was worse")
     assert [served(three, day) for day in (5, 12, 15, 22)] == ["a", "b", "a-r1", "a-r1"]
+    assert copy.decided_at == three.calibrations.get("a-r1").decided_at == three.events.find("roof")[0].time == now
+
+
+def test_what_no_operator_activated_was_decided_when_it_was_made(three: Archive) -> None:
+    record = three.calibrations.get("a")
+    assert record.decided_at == record.created_at
 
 
 def test_a_refused_one_takes_its_own_place_when_a_person_decides(three: Archive) -> None:

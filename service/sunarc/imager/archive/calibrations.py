@@ -37,7 +37,14 @@ from sunarc.imager.archive.database.tables import calibration, pose_epoch, sun_p
 from sunarc.imager.archive.events import acknowledge_at, insert_event
 from sunarc.imager.archive.pictures_of_one_time import ELSEWHERE
 from sunarc.imager.archive.sightings import LENS_CHANGED, MOVED, not_closed
-from sunarc.imager.archive.values import CalibrationRecord, CalibrationState, Event, PoseEpoch, SunPointColumns
+from sunarc.imager.archive.values import (
+    ACTIVATED_BY_OPERATOR,
+    CalibrationRecord,
+    CalibrationState,
+    Event,
+    PoseEpoch,
+    SunPointColumns,
+)
 
 _log = logging.getLogger(__name__)
 _MOST_PARSED = 8
@@ -318,7 +325,9 @@ class CalibrationStore(Part):
             )
         return found[0]
 
-    def reinstate(self, calibration_id: str, *, at: datetime, reason: str) -> CalibrationRecord:
+    def reinstate(
+        self, calibration_id: str, *, at: datetime, reason: str, decided_at: datetime | None = None
+    ) -> CalibrationRecord:
         """Make any calibration of the record current by hand, whatever is current or pinned.
 
         Parameters
@@ -327,12 +336,15 @@ class CalibrationStore(Part):
             before, of which a copy takes over (its `parent` is the one copied), so that no past answer is rewritten.
         at : from when on it answers.
         reason : why, in words; kept with the calibration and in the event.
+        decided_at : now, the time of the event; `at` where None.
         """
+        decided_at = decided_at or at
         with self._database.writing() as connection:
             record = self._required(connection, calibration_id)
             if record.state == "current":
                 raise wrong_state(calibration_id, "is current already", remedy="name another one")
-            findings = (Finding("activated_by_operator", {"reason": reason}), *record.findings)
+            by_hand = Finding(ACTIVATED_BY_OPERATOR, {"reason": reason, "decided_at": rfc3339(decided_at)})
+            findings = (by_hand, *record.findings)
             end_others(connection, record.camera, at)
             if record.state in SERVED:
                 reinstated = add_copy(connection, record, at=at, findings=findings)
@@ -342,7 +354,7 @@ class CalibrationStore(Part):
                 reinstated = replace(record, **decided, findings=findings)
             copied = reinstated.parent if record.state in SERVED else None
             found = Finding("calibration_reinstated", {"calibration": reinstated.id, "reason": reason})
-            store_decision(connection, found, at=at, camera=reinstated.camera, details={"copied": copied})
+            store_decision(connection, found, at=decided_at, camera=reinstated.camera, details={"copied": copied})
         return with_interval(reinstated)
 
     def pin(self, calibration_id: str, *, at: datetime, reason: str) -> CalibrationRecord:

@@ -346,6 +346,10 @@ class SightingCounts(Returned):
     ]
 
 
+ACTIVATED_BY_OPERATOR = "activated_by_operator"
+"""Code of the finding of a calibration that an operator activated; its data have the reason and `decided_at`."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrationRecord:
     """A calibration: its document (schema sunarc.calibration/2), with the columns of the archive's queries as fields.
@@ -375,6 +379,12 @@ class CalibrationRecord:
     def reasons(self) -> tuple[str, ...]:
         """The findings as sentences."""
         return tuple(finding.text for finding in self.findings)
+
+    @property
+    def decided_at(self) -> datetime:
+        """When it was decided that this calibration answers: when it was made, or when an operator activated it."""
+        by_hand = (one.data.get("decided_at") for one in self.findings if one.code == ACTIVATED_BY_OPERATOR)
+        return max([self.created_at, *(datetime.fromisoformat(str(time)) for time in by_hand if time is not None)])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -36,7 +36,7 @@ CAMERA_PREFIX = "/v1{camera:of_camera}"
 """Prefix of the routes of one camera: `/v1`, or `/v1/cameras/NAME`."""
 
 DECIDED_AT = "sunarc.decided_at"
-"""Key of a request's scope: when the calibration was made that answers for the moment that is asked for."""
+"""Key of a request's scope: when it was decided which calibration answers for the moment that is asked for."""
 PictureList = Callable[[datetime | None, datetime | None, int], list[tuple[datetime, Path]]]
 """Returns times and files of at most so many pictures with since <= time < until, the newest first."""
 Input = TypeVar("Input")
@@ -239,7 +239,7 @@ class ApiContext:
         else:
             record = self._best(at) if self.chosen == BEST else self._accepted(self.chosen)
         if record is not None and self.scope is not None:
-            self.scope.setdefault(DECIDED_AT, record.created_at)
+            self.scope.setdefault(DECIDED_AT, record.decided_at)
         return record
 
     def _accepted(self, calibration_id: str) -> CalibrationRecord:

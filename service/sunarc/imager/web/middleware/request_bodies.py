@@ -233,7 +233,7 @@ class HeadRequests(HttpMiddleware):
 
 @dataclass(eq=False)
 class DecidedHeader(HttpMiddleware):
-    """Adds `Sunarc-Decided-At` to an answer: when the calibration was made by which a request's `at` is answered."""
+    """Adds `Sunarc-Decided-At` to an answer: when it was decided which calibration answers a request's `at`."""
 
     async def answer(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on."""
