@@ -442,6 +442,19 @@ def test_images_that_always_come_late_are_said_before_the_first_calibration(
     assert followed.codes() == codes
 
 
+def test_times_of_a_simulation_are_not_compared_with_the_hosts_clock(tmp_path: Path) -> None:
+    followed = Followed(tmp_path, MORNING + timedelta(days=4000), speed=20.0)
+    followed.turn()
+    for n in range(9):
+        time = MORNING + timedelta(minutes=n)
+        followed.write(allsky(time), shot(time))
+        followed.turn()
+        followed.clock.advance(3.0)
+    assert len(followed.points()) == 9
+    assert followed.codes() == set()
+    followed.close()
+
+
 def test_dates_that_no_image_has_are_left_out_and_the_next_image_is_taken(followed: Followed) -> None:
     """Names, and times of change, that no date or only one of the year 1 can state."""
     followed.turn()

@@ -341,7 +341,7 @@ class FolderWorker:
         by_time: dict[datetime, list[_Dated]] = {}
         for file in files:
             dated = self._dated(file)
-            if dated is not None and live:
+            if dated is not None and live and not self.frame_time.follows_camera:
                 self._arrivals.note(dated.frame.time, utc_time(folder_files.changed_s(file)))
             if dated is not None and live and not self._is_recent(dated.frame.time):
                 self._late[file.name] = file
