@@ -30,6 +30,7 @@ from sunarc.common.findings import Finding
 from sunarc.formats.calibration_document import to_document
 from sunarc.imager.archive.archive import Archive, CameraArchive
 from sunarc.imager.archive.images import DiskOptions, ImageStore
+from sunarc.imager.archive.move_pictures import MovePictures
 from sunarc.imager.archive.values import TO_ACKNOWLEDGE, CameraRecord, Event, Refit
 from sunarc.imager.runtime.clock import VirtualClock
 from sunarc.imager.runtime.status import (
@@ -46,14 +47,20 @@ from sunarc.imager.workers.calibrating.moves import MoveConditions
 from sunarc.imager.workers.clock_watch import cost_of_clock
 from sunarc.imager.workers.night.images import night_picture, store_picture
 from sunarc.lab.simulation.made_archive import encoded, photograph
+from sunarc.lab.simulation.options import Bump
+from sunarc.lab.simulation.scene import bumped_camera
+from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_directions
 
 WIDTHS = {1440: 1000, 768: 1024, 390: 844}
 """Widths and heights of the windows, px."""
+HOURS = timedelta(hours=9)
+"""That a camera has run, but for a fresh one."""
 AUCKLAND = Site(latitude=-36.85, longitude=174.76, altitude=40.0)
 MOVED_AT = NOON - timedelta(minutes=25)
+MOVED = bumped_camera(LENS, Bump(at=MOVED_AT, turn_deg=(2.5, 0.0, 0.0)))
 WIDER = """() => [...document.querySelectorAll("main *, header *, aside *, #moves *")]
   .filter((one) => one.getBoundingClientRect().right > innerWidth + 1 && !one.closest(".wide, .picture, svg"))
   .map((one) => `${one.tagName} ${one.id} ${one.textContent.slice(0, 60)}`)"""
@@ -67,6 +74,7 @@ class Stage:
     archive: Archive
     board: StatusRegistry
     site: Site = SITE
+    camera: Camera = LENS
     timezone: str = "America/Chicago"
     now: datetime = NOON
     image: Path | None = None
@@ -85,12 +93,13 @@ class Stage:
             options=ApiOptions(), timezone=self.timezone, **self.others,
         )  # fmt: skip
 
-    def photograph(self, time: datetime) -> None:
+    def photograph(self, time: datetime) -> Path:
         """Take a picture of the sky at a time."""
-        sun = project(LENS, sun_directions(time.timestamp(), self.site))
+        sun = project(self.camera, sun_directions(time.timestamp(), self.site))
         self.image = self.folder / f"{time:%Y%m%dT%H%M%S}.000Z_hdr.jpg"
         self.image.write_bytes(encoded(photograph(LENS.width, np.asarray(sun), np.random.default_rng(3))))
         self.board.note(last_frame_at=time)
+        return self.image
 
     def running(self) -> None:
         """Let the camera answer, the clock be right and all workers run, with a picture and a sighting of now."""
@@ -137,7 +146,13 @@ def clock(stage: Stage) -> None:
 def bump(stage: Stage) -> None:
     """Show a mast that was bumped by 2.5 degrees some minutes ago."""
     ready(stage)
-    _changed(stage, "bump", "the camera was moved by 2.5° ± 0.3°", size=2.5, sigma=0.3)
+    stage.others["moves"] = pictures = MovePictures(stage.folder / "moves")
+    pictures.remember(stage.photograph(MOVED_AT - timedelta(minutes=5)), sighted_at=MOVED_AT)
+    event = _changed(stage, "bump", "the camera was moved by 2.5° ± 0.3°", size=2.5, sigma=0.3)
+    stage.camera = MOVED
+    since = (replace(one, pose_epoch="roof-2") for one in sightings(NOON, camera=MOVED) if one.time >= MOVED_AT)
+    stage.archive.sightings.replace(since)
+    pictures.keep(event, stage.photograph(NOON), sighted_at=NOON)
 
 
 def lens(stage: Stage) -> None:
@@ -186,7 +201,16 @@ def night(stage: Stage) -> None:
     bodies = [{"body": "star:HIP91262", "title": "Vega", "pixel": [1200.0, 700.0], "magnitude": 0.2, "found": True}]
     picture = night_picture(sky, midnight, 5)
     store_picture(stage.images, picture, bodies, calibration="second", image_size=(LENS.width, LENS.height))
-    numbers: dict[str, Any] = {"n_images": 48, "n_accepted": 46, "n_matched": 210, "n_stars": 240, "n_stored": 900}
+    numbers: dict[str, Any] = {
+        "verdict": "clear",
+        "limiting_magnitude": 4.9,
+        "cloud_fraction": 0.1,
+        "n_images": 48,
+        "n_accepted": 46,
+        "n_matched": 210,
+        "n_stars": 240,
+        "n_stored": 900,
+    }
     why = (Finding("night_images", {"n": 46, "images": 48, "cloud_fraction": 0.1}),)
     stage.archive.nights.save(judged("2013-05-13", at=midnight + timedelta(hours=6), findings=why, **numbers))
     stage.running()
@@ -202,14 +226,14 @@ def auckland(stage: Stage) -> None:
     stage.board.set_condition("no_calibration", condition("no_calibration", n=0))
 
 
-def _changed(stage: Stage, kind: str, text: str, **sizes: float) -> None:
+def _changed(stage: Stage, kind: str, text: str, **sizes: float) -> Event:
     """Write an event of a change, serve a provisional pose, and set the conditions as the service does."""
     details = {**sizes, TO_ACKNOWLEDGE: True}
     stage.archive.epochs.open("roof", at=MOVED_AT, reason=text)
     event = Event(time=MOVED_AT, kind=kind, severity="alarm", text=text, camera="roof", details=details)
-    stage.archive.events.add(event)
+    event = stage.archive.events.add(event)
     if kind == "bump":
-        known = calibration()
+        known = replace(calibration(MOVED), sky_rms_deg=0.3, sky_max_deg=0.4)
         of_pose = replace(known.evidence, options={"free": "pose"})
         verdict = Verdict(accepted=True, findings=(Finding("provisional"),))
         posed = replace(known, evidence=of_pose, verdict=verdict)
@@ -219,6 +243,7 @@ def _changed(stage: Stage, kind: str, text: str, **sizes: float) -> None:
         )  # fmt: skip
         stage.archive.calibrations.activate(stage.archive.calibrations.add(written).id)
     MoveConditions(camera=CameraArchive(stage.archive, name="roof", site=SITE), board=stage.board).follow()
+    return event
 
 
 DRILLS: dict[str, Callable[[Stage], None]] = {
@@ -238,9 +263,10 @@ def look(chromium: Browser, name: str, into: Path) -> list[Seen]:
     """Return what a drill shows at each width, and take its pictures."""
     with TemporaryDirectory() as folder:
         archive = new_archive(Path(folder) / "drill.sqlite")
-        clock_of_host = VirtualClock(NOON)
-        board = StatusRegistry(version="drill", started_at=NOON - timedelta(hours=9), monotonic=clock_of_host.monotonic)
+        clock_of_host = VirtualClock(NOON - HOURS)
+        board = StatusRegistry(version="drill", started_at=NOON - HOURS, monotonic=clock_of_host.monotonic)
         stage = Stage(Path(folder), archive, board)
+        clock_of_host.advance(HOURS.total_seconds())
         DRILLS[name](stage)
         with serving_app(stage.app()) as address:
             seen = [_page(chromium, address, width, into / f"{name}-{width}.png") for width in WIDTHS]

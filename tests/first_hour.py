@@ -18,7 +18,7 @@ import tempfile
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -67,6 +67,14 @@ class Newcomer:
             finally:
                 process.terminate()
                 process.wait(30.0)
+
+    def wait_until(self, there: Callable[[], bool]) -> None:
+        """Wait until something is there."""
+        end = time.monotonic() + WITHIN_S
+        while not there():
+            if time.monotonic() > end:
+                raise SystemExit(f"first hour: not there within {WITHIN_S:g} s; see {self.home}")
+            time.sleep(0.5)
 
     def get(self, path: str) -> Any:
         """Return what the service answers; None where it does not, or has none."""

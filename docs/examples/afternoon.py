@@ -10,14 +10,17 @@ from pathlib import Path
 from sunarc.client import Imager
 
 imager, folder = Imager(sys.argv[1]), Path(sys.argv[2])
-time = next(imager.images())["time"]
+newest = next(imager.images())
+time = newest["time"]
 at = datetime.fromisoformat(time)
-(folder / "newest.png").write_bytes(imager.image(time))
+width, height = imager.status()["image_size"]
+pixel = [0.52 * width, 0.4 * height]
+(folder / f"newest.{newest['format']}").write_bytes(imager.image(time))
 (folder / "sun_mask.png").write_bytes(imager.sun_mask(at=at))
 (folder / "sky.png").write_bytes(imager.rectified(time))
-seen = imager.back_project([900.0, 700.0], at=at)
+seen = imager.back_project(pixel, at=at)
 print(f"direction: zenith {seen.zenith_deg:.3f}, azimuth {seen.azimuth_deg:.3f}, 1-sigma {seen.sigma_deg:.4f} degrees")
-cloud, shadow = imager.geolocate([900.0, 700.0], height_m=1500.0, height_sigma_m=100.0, at=at)
+cloud, shadow = imager.geolocate(pixel, height_m=1500.0, height_sigma_m=100.0, at=at)
 for name, place in (("cloud", cloud), ("shadow", shadow)):
     print(f"{name}: {place.latitude:.5f}, {place.longitude:.5f}, 1-sigma {place.sigma_m:.1f} m")
 event = next(event for event in imager.events() if event.kind == "calibration")

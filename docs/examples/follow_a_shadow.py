@@ -1,6 +1,6 @@
 """Follow one cloud's shadow over the map for a quarter of an hour.
 
-A cloud was seen at two pixels, a minute apart, and a ceilometer tells the height of its base. Where it is and where its
+A cloud was seen at two places of the image, a minute apart, and a ceilometer tells the height of its base. Where it is and where its
 shadow falls at both times gives its speed; its shadow then goes on for 15 minutes.
 
     python docs/examples/follow_a_shadow.py http://127.0.0.1:8080 shadow.png --at 2013-05-13T18:30:00Z
@@ -20,7 +20,7 @@ import numpy as np
 
 from sunarc.client import Imager
 
-SEEN_PX = np.array([[420.0, 560.0], [520.0, 660.0]])
+SEEN = np.array([[0.24, 0.32], [0.3, 0.38]])
 SEEN_EVERY = timedelta(minutes=1)
 HEIGHT_M = 1500.0
 AHEAD_MIN = np.arange(0.0, 16.0)
@@ -28,7 +28,8 @@ AHEAD_MIN = np.arange(0.0, 16.0)
 
 def main(address: str, target: Path, at: datetime) -> None:
     imager = Imager(address)
-    places = [imager.geolocate(pixel, height_m=HEIGHT_M, at=at + k * SEEN_EVERY) for k, pixel in enumerate(SEEN_PX)]
+    seen_px = SEEN * imager.status()["image_size"]
+    places = [imager.geolocate(pixel, height_m=HEIGHT_M, at=at + k * SEEN_EVERY) for k, pixel in enumerate(seen_px)]
     clouds, shadows = ([place[k].position_m[:2] for place in places] for k in (0, 1))
     velocity = (shadows[1] - shadows[0]) / SEEN_EVERY.total_seconds()
     path = shadows[0] + AHEAD_MIN[:, None] * 60.0 * velocity

@@ -23,6 +23,7 @@ from tests.api.conftest import LENS, NOON, REFUSED, TOKEN, document, write_image
 from tests.fixtures.calibrations import SITE, chosen_calibration
 
 from sunarc.common.findings import Finding
+from sunarc.imager.archive.move_pictures import MovePictures
 from sunarc.imager.archive.values import TO_ACKNOWLEDGE, Event, SunPoint
 from sunarc.imager.runtime.status import Reason, condition
 from sunarc.optics.forward import project
@@ -71,7 +72,7 @@ def test_every_place_that_the_scripts_fill_is_on_the_page(made: Made) -> None:
 
 def test_every_route_that_the_scripts_ask_is_served(made: Made) -> None:
     written = re.findall(r'(?:ask|askImage|listen)\(["`](/[^"?`]+)', code())
-    names = {"${date}": "{night}", "${event.id}": "{event_id}", "${side}": "{side}"}
+    names = {"${date}": "{night}", "${event}": "{event_id}", "${side}": "{side}"}
     asked = {re.sub(r"\$\{[\w.]+\}", lambda found: names[found[0]], path) for path in written}
     assert asked <= set(made.client.get("/openapi.json").json()["paths"])
     assert asked >= {"/v1/overlay", "/v1/difference", "/v1/geolocate", "/v1/image/latest", "/v1/events/stream"}
@@ -542,6 +543,24 @@ def test_a_change_of_the_camera_stays_on_top_until_it_is_acknowledged_with_the_t
         page.wait_for_selector("#moves", state="hidden", timeout=10_000)
     (stored,) = pictured.archive.events.find("roof", kind="bump")
     assert (stored.details["acknowledged_because"], stored.to_acknowledge) == ("seen", False)
+
+
+@pytest.mark.browser
+@in_a_browser
+def test_the_pictures_of_a_change_are_shown_as_soon_as_they_are_kept(make: Any, picture: Path, tmp_path: Path) -> None:  # noqa: ANN401 - a fixture that is a function
+    kept = MovePictures(tmp_path / "moves")
+    made: Made = make(image=picture, moves=kept)
+    alarm = {"time": NOON, "severity": "alarm", "camera": "roof", "details": {TO_ACKNOWLEDGE: True}}
+    event = made.archive.events.add(Event(kind="bump", text="moved by 2.5°", **alarm))
+    with serving(made) as address, browser() as chromium:
+        page = opened(chromium, address).page
+        page.wait_for_selector("#moves h2", timeout=30_000)
+        assert page.locator("#moves img").count() == 0
+        kept.remember(picture, sighted_at=NOON - timedelta(minutes=5))
+        kept.keep(event, picture, sighted_at=NOON + timedelta(minutes=1))
+        made.archive.events.add(Event(time=NOON, kind="start", severity="info", text="started"))
+        page.wait_for_selector("#moves figcaption >> text=After: 2013-05-13 18:31:00 UTC", timeout=10_000)
+        assert page.locator("#moves img").count() == 2
 
 
 @pytest.mark.browser

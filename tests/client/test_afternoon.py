@@ -76,7 +76,7 @@ def test_an_afternoons_work(served: Made, tmp_path: Path, name: str) -> None:
     said = dict(line.split(": ", 1) for line in done.stdout.splitlines())
     assert list(said) == ["direction", "cloud", "shadow", "calibration"]
     numbers = {key: [float(one) for one in re.findall(r"-?\d+\.\d+", text)] for key, text in said.items()}
-    up = float(unproject(LENS, np.array([900.0, 700.0]))[2])
+    up = float(unproject(LENS, np.array([0.52 * LENS.width, 0.4 * LENS.height]))[2])
     assert numbers["direction"][0] == pytest.approx(math.degrees(math.acos(up)), abs=1e-3)
     assert 0.0 < numbers["direction"][2] < 0.02
     for place in ("cloud", "shadow"):

@@ -229,10 +229,11 @@ class Imager(Requests):
         """Yield the kept composites with since <= time < until, the newest first: time, calibration and bytes."""
         return self._pages("/images", "images", since=_time(since), until=_time(until))
 
-    def image(self, time: datetime | str, *, form: str = "png", width: int | None = None) -> bytes:
-        """Return a composite: png (16 bit linear counts with metadata) or jpeg, by a time that `images` has.
+    def image(self, time: datetime | str, *, form: str | None = None, width: int | None = None) -> bytes:
+        """Return an image by a time that `images` has: as it is kept, or as `form` asks, png or jpeg.
 
-        With a width in px it is a thumbnail of 8 bits.
+        A composite is kept as png (16 bit linear counts with metadata) and as jpeg, the first of which is returned;
+        a picture of another source as that wrote it. With a width in px it is a thumbnail of 8 bits.
         """
         path = f"/images/{_quoted(_named(time))}"
         return self._content(path, format=form, width=None if width is None else str(width))

@@ -9,7 +9,7 @@ import { lookUp } from "./lookup.js";
 import { drawMoves } from "./moves.js";
 import { readNights } from "./night.js";
 import { drawResiduals } from "./residuals.js";
-import { drawSigma, sharePercent } from "./sigma.js";
+import { beyondText, drawSigma, sharePercent } from "./sigma.js";
 import { drawSky, pictureTime, showImage, showPart } from "./sky.js";
 import { Zoom } from "./zoom.js";
 
@@ -42,8 +42,9 @@ function showHealth(health, headline, stateText = "") {
   const plain = SIGNS[health][1];
   const shown = share < LEAST_SHARE && health.startsWith("ready") ? "attention" : health;
   const [sign] = SIGNS[shown];
-  const word = share < 1 && health.startsWith("ready") ? plain.replace("Ready", `Ready for ${sharePercent(known.uncertainty)} % of the sky`) : plain;
-  $("state-text").textContent = stateText;
+  const inPart = share < 1 && health.startsWith("ready");
+  const word = inPart ? plain.replace("Ready", `Ready for ${sharePercent(known.uncertainty)} % of the sky`) : plain;
+  $("state-text").textContent = [stateText, inPart ? beyondText(known.uncertainty) : ""].filter(Boolean).join("; ");
   $("health").dataset.health = shown;
   $("health-sign").textContent = sign;
   if ($("health-word").textContent !== word) $("health-word").textContent = word;
@@ -374,5 +375,6 @@ listen("/v1/events/stream", ({ kind }) => outdated(kind), () => refresh(refreshS
 every(STATUS_MS, refreshStatus);
 every(SKY_MS, refreshSky);
 every(RESIDUALS_MS, refreshResiduals);
+every(STATUS_MS, refreshMoves);
 every(RECORD_MS, refreshRecord);
 document.addEventListener("visibilitychange", () => [refreshStatus, refreshSky, refreshResiduals].forEach(refresh));

@@ -7,33 +7,42 @@ const SIDES = ["before", "after"];
 export function drawMoves(events, zone, done) {
   $("moves").hidden = !events.length;
   const shown = new Map([...$("moves").children].map((one) => [one.dataset.event, one]));
-  $("moves").replaceChildren(...events.map((event) => shown.get(String(event.id)) ?? entry(event, zone, done)));
+  const entries = events.map((event) => shown.get(String(event.id)) ?? entry(event, zone, done));
+  $("moves").replaceChildren(...entries);
+  for (const one of entries) one.querySelectorAll("figure[hidden]").forEach((figure) => askPicture(figure, one.dataset.event, zone));
 }
 
 function entry(event, zone, done) {
   const one = node("article");
   one.dataset.event = event.id;
   const title = node("h2", `! ${event.text}`);
-  one.append(title, node("p", zoned(event.time, zone), "sum"), pictures(event, zone), form(event, done));
+  one.append(title, node("p", zoned(event.time, zone), "sum"), pictures(), form(event, done));
   return one;
 }
 
-function pictures(event, zone) {
+function pictures() {
   const both = node("div", "", "halves");
   for (const side of SIDES) {
     const figure = node("figure");
+    figure.dataset.side = side;
     figure.hidden = true;
     both.append(figure);
-    askImage(`/v1/events/${event.id}/pictures/${side}?horizon=true&width=640`).then((found) => {
-      if (!found) return;
-      const image = node("img");
-      image.src = found.address;
-      image.alt = `Picture ${side} the change, with the horizon by the calibration of then`;
-      figure.append(image, node("figcaption", `${side[0].toUpperCase()}${side.slice(1)}: ${zoned(found.time, zone)}`));
-      figure.hidden = false;
-    }).catch(() => {});
   }
   return both;
+}
+
+// The picture after a change comes later than the event: a figure without one is asked for again.
+async function askPicture(figure, event, zone) {
+  if (figure.dataset.asked) return;
+  figure.dataset.asked = "true";
+  const { side } = figure.dataset;
+  const found = await askImage(`/v1/events/${event}/pictures/${side}?horizon=true&width=640`).catch(() => null);
+  if (!found) { delete figure.dataset.asked; return; }
+  const image = node("img");
+  image.src = found.address;
+  image.alt = `Picture ${side} the change, with the horizon by the calibration of then`;
+  figure.append(image, node("figcaption", `${side[0].toUpperCase()}${side.slice(1)}: ${zoned(found.time, zone)}`));
+  figure.hidden = false;
 }
 
 function form(event, done) {

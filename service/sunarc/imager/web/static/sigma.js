@@ -4,6 +4,7 @@ import { $, telling } from "./draw.js";
 
 // The share of the sky within the limit, in whole per cent, never rounded up to all.
 export const sharePercent = (map) => Math.floor(100 * map.share_within);
+export const beyondText = (map) => `1-sigma of the rest is above ${telling(map.limit_deg)}°: sightings of other days and seasons, or of stars, make it less`;
 const withinText = (map) => (map.share_within === null ? "" : `${sharePercent(map)} % of the sky within ${telling(map.limit_deg)}°.`);
 
 export function drawSigma(map, overlay, size) {
