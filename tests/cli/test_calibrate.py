@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import re
 import math
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -89,6 +90,7 @@ def test_a_readable_summary_is_printed_without_json(sunarc: Sunarc, points: Path
     assert answer.code == 0
     assert "equisolid" in answer.out
     assert "accepted" in answer.out
+    assert re.search(r"^pose +image top points to azimuth 13\d°, tilted 2\.\d° to the south-east$", answer.out, re.M)
 
 
 def test_a_record_that_stands_still_is_refused_in_a_readable_table(sunarc: Sunarc, tmp_path: Path) -> None:
@@ -275,7 +277,7 @@ def test_a_refused_fit_shows_no_number_of_a_camera_and_answers_only_who_asks_for
     document = sunarc("calibrate", str(points), *AT_SGP, "--json").out
     shown = sunarc("calibrate", str(points), *AT_SGP).out
     assert not any(
-        line.startswith(("focal", "principal", "phi", "1-sigma", "projection")) for line in shown.splitlines()
+        line.startswith(("focal", "principal", "pose", "phi", "1-sigma", "projection")) for line in shown.splitlines()
     )
     file, other = tmp_path / "refused.json", str(tmp_path / "camera.yml")
     file.write_text(document)
