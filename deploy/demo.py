@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import secrets
 import signal
 import socket
 import subprocess
@@ -109,7 +110,7 @@ def run(options: argparse.Namespace) -> int:
         stack.enter_context(running("service", serve_command(config), log=state / "service.log"))
         url = f"http://127.0.0.1:{options.port}"
         wait_for(lambda: answers(f"{url}/healthz"), what="the service", log=state / "service.log")
-        print(f"demo: dashboard at {url}/")
+        print(f"demo: dashboard at {url}/; the token for changes, as to acknowledge an event, is in {state}/token")
         code = follow(url, state, options)
         if not options.headless or options.keep:
             print(f"demo: goes on serving at {url}/ until Ctrl-C")
@@ -179,7 +180,10 @@ def allow_whole_frames() -> None:
 
 
 def write_config(state: Path, options: argparse.Namespace) -> Path:
-    """Write the service's settings."""
+    """Write the service's settings, and a token for changes."""
+    token = state / "token"
+    token.touch(mode=0o600)
+    token.write_text(f"{secrets.token_urlsafe(24)}\n")
     config = state / "sunarc.toml"
     config.write_text(
         f"""\
@@ -209,6 +213,7 @@ check_every_s = 1.0
 
 [api]
 port = {options.port}
+token_file = "{token}"
 """
     )
     return config
