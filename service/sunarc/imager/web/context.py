@@ -211,7 +211,7 @@ class ApiContext:
         record = self.record_or_none(at)
         if record is None:
             remedy = "wait for a clear day, or see /v1/calibrations for what there is"
-            if at is None:
+            if at is None or self.archive.calibrations.current(self.camera) is None:
                 raise NoCalibrationError(field="calibration", problem="no calibration is current", remedy=remedy)
             raise NotFoundError(field="at", problem=f"no calibration answers for {at.isoformat()}", remedy=remedy)
         return record

@@ -49,6 +49,7 @@ def obstruction_routes(context: ApiContext) -> APIRouter:
         selected = context.of(request)
         found = None if selected.obstructions is None else selected.obstructions.learned
         if found is None:
+            selected.record(None)  # without a calibration that is what is missing
             why = "no images are seen here" if selected.obstructions is None else selected.obstructions.missing
             raise NotFoundError(field="obstructions", problem=why, remedy="ask again after a clear day")
         return found
