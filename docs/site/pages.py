@@ -19,7 +19,7 @@ PARTS = {
     "First steps": ("first-hour", "explanation", "faq", "troubleshooting", "python", "glossary"),
     "Operate": (
         "operating", "operating/install", "operating/run", "operating/sources", "operating/images",
-        "operating/names", "operating/archives", "operating/alerts", "operating/rehearse",
+        "operating/names", "operating/archives", "operating/alerts", "operating/rehearse", "operating/another-machine",
         "fleet", "push", "container", "security", "scale",
     ),
     "Understand": (

@@ -136,7 +136,7 @@ def test_the_evaluator_answers_as_the_service_does(camera: Newcomer, tmp_path: P
     document.write_text(json.dumps(camera.get("/v1/calibration")))
     direction = ["0.3", "-0.2", "0.9327379"]
     script = EXAMPLES / "evaluators" / "evaluate_calibration.py"
-    asked = [sys.executable, script, document, "project", *direction]
+    asked = [sys.executable, str(script), str(document), "project", *direction]
     found = subprocess.run(asked, capture_output=True, text=True, check=True).stdout.split()
     expected = Imager(address(camera)).project([float(one) for one in direction])
     assert np.array(found, dtype=float) == pytest.approx(np.asarray(expected.pixels), abs=1e-4)

@@ -174,7 +174,7 @@ def table(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
         ["" if cell is None else f"{cell:.3f}" if isinstance(cell, float) else str(cell) for cell in row]
         for row in rows
     ]
-    made = Table(*columns)
+    made = Table(*columns, show_header=any(columns))
     for column in made.columns:
         column.overflow = "fold"  # a narrow terminal breaks a cell, and cuts none
     if columns and max((len(row[0]) for row in cells), default=0) <= _NAME_CHARACTERS:
