@@ -1,7 +1,7 @@
 """Follow one cloud's shadow over the map for a quarter of an hour.
 
-A cloud was seen at two places of the image, a minute apart, and a ceilometer tells the height of its base. Where it is and where its
-shadow falls at both times gives its speed; its shadow then goes on for 15 minutes.
+A cloud was seen at two places of the image, a minute apart, and a ceilometer tells the height of its base. Where it is
+and where its shadow falls at both times gives its speed; its shadow then goes on for 15 minutes.
 
     python docs/examples/follow_a_shadow.py http://127.0.0.1:8080 shadow.png --at 2013-05-13T18:30:00Z
 """

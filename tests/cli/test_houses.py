@@ -101,3 +101,9 @@ def test_an_installation_that_registers_nothing_says_so() -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert "deploy/setup" in done.stderr
+
+
+@pytest.mark.parametrize("group", ["db", "calibrations", "points", "hub", "study"])
+def test_the_summaries_of_a_group_are_not_cut(group: str) -> None:
+    done = subprocess.run([sys.executable, "-m", "sunarc", group, "--help"], capture_output=True, text=True, check=True)
+    assert "..." not in done.stdout.partition("Commands:")[2]
