@@ -166,7 +166,9 @@ def gone(stage: Stage) -> None:
     ready(stage)
     stage.now += timedelta(hours=3)
     stage.board.note(camera=CameraStatus(name="roof", connected=False, address="192.168.0.2"))
-    stage.board.set_condition("camera_lost", condition("camera_lost", severity="not_ready", error="no answer"))
+    stage.board.set_condition(
+        "camera_lost", condition("camera_lost", severity="not_ready", error="the camera at 192.168.0.2 does not answer")
+    )
 
 
 def full_disk(stage: Stage) -> None:

@@ -53,7 +53,7 @@ def test_the_sky_grid_shows_each_direction_where_the_camera_has_it(made: Made) -
     camera = made.archive.calibrations.model("second").camera
     middle = (size - 1) // 2
     for row, column in ((middle, middle), (middle - 50, middle), (middle, middle + 40), (middle + 30, middle - 60)):
-        east, north = (column - middle) / (size / 2.0), (middle - row) / (size / 2.0)
+        east, north = (middle - column) / (size / 2.0), (middle - row) / (size / 2.0)
         zenith, azimuth = 90.0 * math.hypot(east, north), math.degrees(math.atan2(east, north)) % 360.0
         pixel = project(camera, direction_from_angles(zenith_deg=zenith, azimuth_deg=azimuth))
         np.testing.assert_allclose([found["map_x"][row, column], found["map_y"][row, column]], pixel, atol=1e-3)
@@ -190,3 +190,15 @@ def test_an_image_of_another_size_is_refused(make: Make, tmp_path: Path) -> None
     store.write(TIME, cv2.imencode(".jpg", np.zeros((60, 80), np.uint8))[1].tobytes(), kind="hdr.jpg")
     answer = make(history="filled", images=store).client.get(PICTURE, params={"calibration": "second"})
     assert (answer.status_code, answer.json()["errors"][0]["field"]) == (422, "time")
+
+
+def test_tables_of_the_sky_of_former_versions_are_read_as_they_say(made: Made) -> None:
+    camera = made.archive.calibrations.model("second").camera
+    content = made.client.get("/v1/remap", params={"size": min(camera.width, camera.height)}).content
+    with np.load(io.BytesIO(content)) as file:
+        former = {name: file[name][:, ::-1] if file[name].ndim == 2 else file[name] for name in file.files}
+    former["attributes"] = np.array(str(former["attributes"]).replace("east at the left", "east at the right"))
+    target = io.BytesIO()
+    np.savez(target, **former)
+    found = compare(camera_view(camera), read_view(target.getvalue(), name="remap.npz"))
+    assert 0.0 < found.total.max_px < 0.01

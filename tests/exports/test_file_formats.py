@@ -189,9 +189,9 @@ def test_opencvs_remap_puts_the_sky_where_the_grid_says() -> None:
     assert made("opencv-remap").error in said["notes"][-1]
     x, y = np.meshgrid(np.arange(330.0), np.arange(300.0))
     seen = [cv2.remap(image.astype(np.float32), map_x, map_y, cv2.INTER_LINEAR) for image in (x, y)]
-    # In the row just below the middle, to the right of it: east, and a little south of it.
+    # In the row just below the middle, to the right of it: west, and a little south of it.
     down, right = 150 - 149.5, 217 - 149.5
-    zenith_deg, azimuth_deg = 90.0 * math.hypot(down, right) / 150.0, 90.0 + math.degrees(math.atan2(down, right))
+    zenith_deg, azimuth_deg = 90.0 * math.hypot(down, right) / 150.0, 270.0 - math.degrees(math.atan2(down, right))
     direction = direction_from_angles(zenith_deg=np.array([zenith_deg]), azimuth_deg=np.array([azimuth_deg]))
     assert [float(image[150, 217]) for image in seen] == pytest.approx(project(SMALL, direction)[0].tolist(), abs=0.02)
     assert (map_x[0, 0], map_y[0, 0]) == (-1.0, -1.0)
@@ -201,7 +201,7 @@ def test_the_grids_are_of_unit_vectors_and_meet_what_they_say() -> None:
     grid = sky_grid(101)
     assert np.linalg.norm(grid, axis=-1)[np.isfinite(grid[..., 0])] == pytest.approx(1.0)
     assert grid[50, 50] == pytest.approx([0.0, 0.0, 1.0])
-    assert grid[50, 75, 0] == pytest.approx(math.sin(25 / 50.5 * math.pi / 2))
+    assert grid[50, 25, 0] == pytest.approx(math.sin(25 / 50.5 * math.pi / 2))
     assert np.isnan(grid[0, 0]).all()
     ground = ground_grid(101, half_width_m=5000.0, height_m=2000.0)
     east, north, up = ground[10, 70]

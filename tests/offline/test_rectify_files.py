@@ -73,7 +73,7 @@ def test_a_composite_that_is_a_mosaic_is_mapped_in_its_colours(calibration: Path
     np.testing.assert_allclose(found[50, 50], [0, 0, 40_000], atol=1)
 
 
-def test_on_the_map_of_the_sky_north_is_up_and_east_is_right(calibration: Path, image: Path, tmp_path: Path) -> None:
+def test_on_the_map_of_the_sky_north_is_up_and_east_is_left(calibration: Path, image: Path, tmp_path: Path) -> None:
     (done,) = rectify_files(
         [image], calibration, grid="sky", size=500, cloud_height_m=None, half_width_m=None, folder=tmp_path / "maps"
     )
@@ -82,7 +82,7 @@ def test_on_the_map_of_the_sky_north_is_up_and_east_is_right(calibration: Path, 
     assert (found.shape, Path(done["written"]).name) == ((500, 500, 3), "noon_sky.png")
     row, column = center(found[..., 2].astype(np.float64))
     radius = ZENITH / 90.0 * 250.0
-    assert column == pytest.approx(249.5 + radius * math.sin(math.radians(AZIMUTH)), abs=0.1)
+    assert column == pytest.approx(249.5 - radius * math.sin(math.radians(AZIMUTH)), abs=0.1)
     assert row == pytest.approx(249.5 - radius * math.cos(math.radians(AZIMUTH)), abs=0.1)
     assert found[..., :2].max() == 0
     assert 0.7 < done["seen"] < 0.8  # a circle in its square: pi / 4

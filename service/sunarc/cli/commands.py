@@ -38,7 +38,7 @@ LIBRARY = {name: Command(module, attribute, text) for name, module, attribute, t
     ("compare", "sunarc.cli.documents", "compare",
      "Compare two cameras: differences of B from A over the sky, in px and degrees."),
     ("rectify", "sunarc.cli.documents", "rectify",
-     "Map images to a grid of the sky, or of the ground for clouds at a height; north at the top, east at the right."),
+     "Map images to a grid of the sky, seen from below, or of the ground for clouds at a height; north at the top."),
     ("codes", "sunarc.cli.codes", "codes",
      "Print every code of findings with its meaning and action, as the page docs/codes.md."),
 )}  # fmt: skip

@@ -148,7 +148,7 @@ def rectify(
     accept_refused: AcceptRefused = False,
     as_json: AsJson = False,
 ) -> None:
-    """Map images to a grid of the sky, or of the ground for clouds at a height; north at the top, east at the right.
+    """Map images to a grid of the sky, seen from below, or of the ground for clouds at a height; north at the top.
 
     Example: sunarc rectify noon.png --calibration calibration.json --grid ground --cloud-height 1500 -o maps/
     """

@@ -30,16 +30,18 @@ _NOTHING = -0.5
 _EARTH_RADIUS_M = 6_371_008.8
 """Mean radius of the earth (IUGG), m."""
 _RIGHT_ANGLE_DEG = 90.0
+_EAST_AT_LEFT = "at the top, east at the left"
+"""Attribute `north` of tables of the sky; those of versions to 0.3 have east at the right."""
 
 
 def sky_grid(size: int) -> FloatArray:
     """Return the directions (size, size, 3) of an equidistant map of the sky; NaN beyond the horizon.
 
-    North is at the top and east at the right, as on a map: what one sees looking down on it. The zenith is at
-    (size - 1) / 2, the horizon size / 2 from it.
+    North is at the top and east at the left, as in a picture of the sky from below. The zenith is at (size - 1) / 2,
+    the horizon size / 2 from it.
     """
     across = (np.arange(size) - (size - 1) / 2.0) / (size / 2.0)
-    east, north = np.meshgrid(across, -across)
+    east, north = np.meshgrid(-across, -across)
     zenith = np.hypot(east, north) * (math.pi / 2.0)
     scale = np.sinc(zenith / math.pi) * (math.pi / 2.0)  # sin(zenith) / radius
     directions = np.stack([east * scale, north * scale, np.cos(zenith)], axis=-1)
@@ -114,7 +116,8 @@ def remap_table(
     place : latitude and longitude of the camera, degrees: the origin of a ground grid's coordinates.
     """
     described = {"units": "1", "long_name": "coordinate in px in the image; -1 where the image has nothing"}
-    said = {"grid": grid, "north": "at the top, east at the right", "image_size": [camera.width, camera.height]}
+    side = _EAST_AT_LEFT if grid == "sky" else "at the top, east at the right"
+    said = {"grid": grid, "north": side, "image_size": [camera.width, camera.height]}
     if place is not None:
         described["grid_mapping"] = "crs"
     tables = zip(("map_x", "map_y"), remap_tables(camera, directions), strict=True)
@@ -129,9 +132,10 @@ def _coordinates(size: int, half_width_m: float, place: tuple[float, float] | No
     """Return x, y of the cells: m on a sphere about the camera for a ground grid, else degrees of zenith angle."""
     across = (np.arange(size) - (size - 1) / 2.0) / (size / 2.0) * _RIGHT_ANGLE_DEG
     named = [{"units": "degree", "long_name": f"zenith angle towards the {side}"} for side in ("east", "north")]
+    eastwards = -across
     crs: dict[str, Variable] = {}
     if place is not None:
-        across = np.linspace(-half_width_m, half_width_m, size)
+        eastwards = across = np.linspace(-half_width_m, half_width_m, size)
         named = [
             {"units": "m", "standard_name": f"projection_{axis}_coordinate", "long_name": f"{side} of the camera"}
             for axis, side in (("x", "east"), ("y", "north"))
@@ -147,7 +151,7 @@ def _coordinates(size: int, half_width_m: float, place: tuple[float, float] | No
         crs = {"crs": Variable(dimensions=(), values=np.array(0, dtype=np.int32), attributes=mapping)}
     x, y = (
         Variable(dimensions=(name,), values=values, attributes={"axis": name.upper(), **attributes})
-        for name, values, attributes in zip("xy", (across, -across), named, strict=True)
+        for name, values, attributes in zip("xy", (eastwards, -across), named, strict=True)
     )
     return {"x": x, "y": y, **crs}
 
@@ -173,10 +177,13 @@ def read_remap(content: bytes, *, name: str) -> View:
             problem=f"no remap tables of the sky ({error})",
             remedy="give an opencv-remap file of sunarc export, or /v1/remap?grid=sky",
         ) from None
+    if said.get("north") == _EAST_AT_LEFT:
+        tables = tables[:, ::-1]
     return _table_view(np.where(tables < _NOTHING, np.nan, tables), (width, height))
 
 
 def _table_view(tables: FloatArray, size: tuple[int, int]) -> View:
+    """Return the view of tables with east at the right."""
     from scipy.interpolate import RegularGridInterpolator  # noqa: PLC0415 - the service starts sooner without it
 
     count = tables.shape[0]

@@ -218,8 +218,8 @@ def rectify_files(
     ----------
     images : of the camera, all of its size.
     calibration : a calibration document.
-    grid : `sky` writes PNG, an equidistant map; `ground` writes GeoTIFF, azimuthal equidistant about the camera.
-        North is at the top, east at the right; 0 where the image has nothing.
+    grid : `sky` writes PNG, an equidistant map with east at the left, as in the picture; `ground` writes GeoTIFF,
+        azimuthal equidistant about the camera, east at the right. North is at the top; 0 where the image has nothing.
     size : pixels along a side.
     cloud_height_m, half_width_m : of the ground grid: the layer's height above the camera, and the distance from the
         camera to the middle of the outermost pixels (unless given: what lies within 78 degrees of zenith angle).
