@@ -43,21 +43,6 @@ def houses() -> dict[str, dict[str, Command]]:
     return {point.name: point.load() for point in found}
 
 
-class WholeSummaries(TyperGroup):
-    """Commands of a group, each with its whole first sentence."""
-
-    def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401, ARG002 - click's
-        """Write the commands and their summaries."""
-        with formatter.section("Commands"):
-            formatter.write_dl(
-                [(name, one.get_short_help_str(_WHOLE)) for name, one in self.commands.items() if not one.hidden]
-            )
-
-
-_WHOLE = 1000
-"""Longest summary, characters: longer than any."""
-
-
 class _Commands(TyperGroup):
     """Commands that are known by name and first sentence, and loaded when they are called."""
 
@@ -93,10 +78,23 @@ def load_command(name: str) -> Any:  # noqa: ANN401 - click's command
     found = getattr(import_module(command.module), command.name)
     alone = _new_group(TyperGroup)
     if isinstance(found, typer.Typer):
-        alone.add_typer(found, name=name, cls=WholeSummaries)
+        alone.add_typer(found, name=name)
     else:
         alone.command(name)(found)
-    return get_group(alone).commands[name]
+    loaded = get_group(alone).commands[name]
+    _keep_whole_summaries(loaded)
+    return loaded
+
+
+_WHOLE = 1000
+"""Longest summary, characters: longer than any."""
+
+
+def _keep_whole_summaries(command: Any) -> None:  # noqa: ANN401 - click's command
+    """Let the help of a group show the whole first sentence of each command."""
+    for one in getattr(command, "commands", {}).values():
+        one.short_help = one.get_short_help_str(_WHOLE)
+        _keep_whole_summaries(one)
 
 
 def _new_group(cls: type[TyperGroup]) -> typer.Typer:

@@ -16,7 +16,6 @@ from rich.console import Console
 from rich.table import Table
 
 from sunarc.calibration.model.options import Method
-from sunarc.cli.main import WholeSummaries
 from sunarc.cli.options import AsJson, choice_of, print_json, progress_bars
 from sunarc.cli.owner import act_as_owner_of
 from sunarc.common.errors import InputError, disk_errors
@@ -38,7 +37,7 @@ AnyValue = TypeVar("AnyValue")
 benchmark_cli = typer.Typer(no_args_is_help=True, help="An open benchmark of calibrations: docs/benchmark/README.md.")
 study_cli = typer.Typer(no_args_is_help=True, help="Reproduce the paper's tables and figures; errors of cloud shadows.")
 
-study_cli.add_typer(benchmark_cli, name="benchmark", cls=WholeSummaries)
+study_cli.add_typer(benchmark_cli, name="benchmark")
 
 AnyRow = Mapping[str, str | int | float]
 

@@ -355,7 +355,7 @@ def remap_routes(context: ApiContext, files: AnswerFiles) -> APIRouter:
         half_width: _HALF_WIDTH = None,
         if_none_match: IfNoneMatch = None,
     ) -> Response:
-        """Return a composite's preview on a grid by its time's calibration: the sky from below, or a map of the ground."""
+        """Return an image's preview on a grid by its time's calibration: the sky from below, or a map of the ground."""
         asked = _AskedTables(grid=grid, size=size, height_m=height, half_width_m=half_width)
         selected, record = await run_in_threadpool(context.answering, request, time)
         path = await run_in_threadpool(image_file, selected, time)
