@@ -550,8 +550,10 @@ def test_a_change_of_the_camera_stays_on_top_until_it_is_acknowledged_with_the_t
 def test_the_pictures_of_a_change_are_shown_as_soon_as_they_are_kept(make: Any, picture: Path, tmp_path: Path) -> None:  # noqa: ANN401 - a fixture that is a function
     kept = MovePictures(tmp_path / "moves")
     made: Made = make(image=picture, moves=kept)
-    alarm = {"time": NOON, "severity": "alarm", "camera": "roof", "details": {TO_ACKNOWLEDGE: True}}
-    event = made.archive.events.add(Event(kind="bump", text="moved by 2.5°", **alarm))
+    moved = Event(
+        time=NOON, kind="bump", severity="alarm", text="moved by 2.5°", camera="roof", details={TO_ACKNOWLEDGE: True}
+    )
+    event = made.archive.events.add(moved)
     with serving(made) as address, browser() as chromium:
         page = opened(chromium, address).page
         page.wait_for_selector("#moves h2", timeout=30_000)

@@ -52,8 +52,8 @@ def activate(
     Example: sunarc calibrations activate 20130514T063000Z-ab12cd --reason "the last one was worse"
     """
     with open_archive(service_settings(config).archive) as archive:
-        given = {"at": _time_or_now(start), "decided_at": _time_or_now(None), "reason": reason}
-        row = _row(archive.calibrations.reinstate(calibration, **given))
+        at, now = _time_or_now(start), _time_or_now(None)
+        row = _row(archive.calibrations.reinstate(calibration, at=at, decided_at=now, reason=reason))
     print_text(row, f"{row['id']} is current from {row['valid_from']}", as_json=as_json)
 
 

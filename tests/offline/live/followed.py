@@ -29,10 +29,11 @@ def never() -> object:
 class Followed:
     """The service of a folder below `base`, from a moment on; another one of the same base is its next start."""
 
-    def __init__(self, base: Path, start: datetime, *, speed: float = 1.0, **options: object) -> None:
+    def __init__(self, base: Path, start: datetime, **options: object) -> None:
         self.root = base / "images"
         self.root.mkdir(exist_ok=True)
         chosen = {"path": self.root, "utc_offset": "0", "polling": True, "settle_s": 1.0, **options}
+        speed = chosen.pop("speed", 1.0)
         settings = new_settings(base, source="folder", folder=chosen, capture={"speed": speed})
         upgrade(settings.database)
         self.clock = VirtualClock(start)
