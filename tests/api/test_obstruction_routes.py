@@ -89,6 +89,14 @@ def test_after_a_clear_day_mask_and_horizon_are_served(
     horizon = made.client.get("/v1/horizon").json()
     assert horizon["azimuth_deg"] == list(range(360))
     assert np.median(np.abs(np.array(horizon["elevation_deg"]) - world.horizon_deg())) < 0.6
+    paths = {one["name"]: np.array(one["elevation_deg"]) for one in horizon["sun_paths"]}
+    assert {name: round(float(way.max())) for name, way in paths.items()} == {"Jun": 77, "Sep": 54, "Dec": 30}
+    assert sum(horizon["sun_h"]) == pytest.approx(4390.0, abs=60.0)
+    assert all(0.0 <= lost < sun for lost, sun in zip(horizon["lost_h"], horizon["sun_h"], strict=True))
+    assert sum(horizon["lost_h"]) > 100.0
+    assert horizon["drawn"] is None
+    share = made.client.get("/v1/status").json()["obstructions"]["hidden_share"]
+    assert share == pytest.approx(learner.learned.hidden_share if learner.learned else 0.0)
     rows = list(csv.DictReader(io.StringIO(made.client.get("/v1/horizon?format=csv").text)))
     assert [float(row["horizon_elevation"]) for row in rows] == horizon["elevation_deg"]
 
@@ -107,7 +115,7 @@ def test_a_crane_that_comes_and_goes_is_an_event_with_its_direction_and_size(
     by_kind = {kind: [one.details for one in events if one.kind == kind] for kind in {one.kind for one in events}}
     assert by_kind.keys() == {"obstruction_appeared", "obstruction_gone"}
     alone = world.crane & ~world.truth(crane=False) & (world.elevation > 0.0)
-    true_deg2 = float(np.sum(alone)) / world.focal_px**2 * np.degrees(1.0) ** 2
+    true_deg2 = float(np.sum(_area_deg2(world)[alone]))
     for details in by_kind.values():
         largest = max(details, key=lambda one: float(one["area_deg2"]))
         away = (float(largest["azimuth_deg"]) - world.crane_at + 180.0) % 360.0 - 180.0
@@ -147,10 +155,34 @@ def test_a_sun_behind_an_obstruction_is_not_used_and_earlier_ones_are_set_aside(
     assert np.all(kept[~rejected[:-1]])
 
 
+def _area_deg2(world: World) -> np.ndarray:
+    """Return the solid angles of the pixels of an equidistant lens, square degrees."""
+    return np.asarray(np.sinc(world.theta / np.pi) / world.focal_px**2 * np.degrees(1.0) ** 2)
+
+
 def _hidden_share(world: World, time: datetime) -> float:
     """Return how much of the sky is hidden within 1 degree of the sun."""
     near = world.directions @ world.sun(time) > np.cos(np.radians(1.0))
     return float(np.mean(world.truth(crane=False)[near]))
+
+
+def test_a_drawn_mask_wins_and_is_compared(
+    make: Make, learner: ObstructionLearner, day: tuple[World, list[np.ndarray]], tmp_path: Path
+) -> None:
+    show(learner, day)
+    truth = day[0].truth(crane=False)
+    drawn = truth.copy()
+    drawn[:, : SIZE // 2] = False
+    cv2.imwrite(str(tmp_path / "drawn.png"), np.where(drawn, 0, 255).astype(np.uint8))
+    made = make(history="filled", obstructions=learner, obstruction_mask=tmp_path / "drawn.png")
+    compared = made.client.get("/v1/horizon").json()["drawn"]
+    sky = (day[0].elevation > 0.0) & truth
+    left_deg2 = float(np.sum(_area_deg2(day[0])[:, : SIZE // 2][sky[:, : SIZE // 2]]))
+    assert compared["missing_deg2"] == pytest.approx(left_deg2, rel=0.15)
+    assert compared["extra_deg2"] < 0.1 * left_deg2
+    assert compared["agreement"] == pytest.approx(1.0 - left_deg2 / np.sum(_area_deg2(day[0])[sky]), abs=0.1)
+    cv2.imwrite(str(tmp_path / "drawn.png"), np.zeros((9, 9), np.uint8))
+    assert made.client.get("/v1/horizon").json()["drawn"] is None
 
 
 def test_the_sums_outlive_a_restart_and_a_damaged_file_begins_anew(

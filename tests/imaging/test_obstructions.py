@@ -6,6 +6,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -23,6 +24,7 @@ from sunarc.imaging.obstructions import (
     no_sums,
     obstruction_mask,
     updated_sums,
+    with_stars,
 )
 from sunarc.optics.pose import rotation_matrix, rotation_vector
 
@@ -159,6 +161,25 @@ def test_the_evidence_is_carried_over_a_turn_by_directions(clear_day: Learner) -
     before = clear_day.mask().state
     equal = np.maximum(*(np.mean(np.rot90(before, k)[grid.sky] == carried.state[grid.sky]) for k in (1, 3)))
     assert equal > 0.95
+
+
+def test_named_stars_free_their_cells_and_stars_that_are_never_found_hide_theirs(clear_day: Learner) -> None:
+    grid, world = clear_day.grid, clear_day.world
+    truth, sky = world.truth(crane=False), world.elevation > 5.0
+    rng = np.random.default_rng(5)
+    picked = rng.choice(np.flatnonzero(sky.ravel()), 9000)
+    directions, behind = world.directions.reshape(-1, 3)[picked], truth.ravel()[picked]
+    sums = no_sums(grid)
+    for _ in range(8):
+        sums = with_stars(sums, grid, named=directions[~behind], missed=directions[behind])
+    state = obstruction_mask(sums, grid).state
+    inside = cv2.erode(truth.astype(np.uint8), np.ones((11, 11))) > 0
+    outside = cv2.dilate(truth.astype(np.uint8), np.ones((5, 5))) == 0
+    assert np.mean(state[sky & outside] == FREE) > 0.95
+    assert np.mean(state[sky & inside] == HIDDEN) > 0.8
+    assert not np.any(state[sky & outside] == HIDDEN)
+    nothing = with_stars(sums, grid, named=np.zeros((0, 3)), missed=np.zeros((0, 3)))
+    assert np.array_equal(nothing.log_odds, sums.log_odds)
 
 
 def test_nothing_is_known_before_the_first_image(clear_day: Learner) -> None:

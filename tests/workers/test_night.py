@@ -20,6 +20,7 @@ from sunarc.common.array_types import Image
 from sunarc.formats.calibration_document import to_document
 from sunarc.imager.archive.archive import Archive, CameraArchive
 from sunarc.imager.archive.images import ImageStore
+from sunarc.imager.archive.obstructions import LearnedObstructions, ObstructionLearner
 from sunarc.imager.archive.values import CameraRecord, Event, Refit
 from sunarc.imager.cameras.frame import Frame
 from sunarc.imager.runtime.loop import DropOldestQueue
@@ -27,6 +28,8 @@ from sunarc.imager.runtime.status import StatusRegistry
 from sunarc.imager.workers.night.exposures import NightCapture, NightExposures
 from sunarc.imager.workers.night.night import NightWorker
 from sunarc.imager.workers.options import SensorOptions
+from sunarc.imaging.horizon import horizon_profile
+from sunarc.imaging.obstructions import FREE, HIDDEN, ObstructionMask
 from sunarc.lab.simulation.options import SceneOptions, SimulatedNight, Weather
 from sunarc.lab.simulation.scene import Scene
 from sunarc.lab.simulation.truth import SGP, true_camera
@@ -277,3 +280,43 @@ def test_an_image_of_the_next_night_ends_the_one_before(bench: Bench) -> None:
         bench.worker.look_at(frame)
     bench.worker.look_at(replace(frame_at(0), time=frame_at(0).time + timedelta(days=1)))
     assert len(bench.archive.events.find("roof", kind="night")) == 1
+
+
+WALL_ROWS = 220
+
+
+def behind_a_wall(minutes: int) -> Frame:
+    frame = frame_at(minutes)
+    image = frame.image.copy()
+    image[:WALL_ROWS] = np.median(image)
+    return replace(frame, image=image)
+
+
+def test_stars_behind_an_obstruction_are_not_missed_and_those_never_found_show_one(
+    bench: Bench, tmp_path: Path
+) -> None:
+    bench.serve(CAMERA)
+    learner = ObstructionLearner(bench.camera, tmp_path / "obstructions.npz")
+    learner._follow("day", calibration_of(CAMERA))
+    bench.worker.obstructions = learner
+    grid, sums = learner._grid, learner._sums
+    assert grid is not None
+    assert sums is not None
+    clouds = bench.night(*(behind_a_wall(minutes) for minutes in (0, 40, 80))).details["cloud_fraction"]
+    after = learner._sums
+    assert after is not None
+    wall = np.zeros(grid.shape, dtype=bool)
+    wall[: WALL_ROWS * grid.shape[0] // CAMERA.height] = True
+    assert np.sum(after.log_odds[wall & grid.sky] > 0.0) > 20.0
+    assert np.mean((after.log_odds > 0.0)[~wall & grid.sky]) < 0.01
+    assert np.sum(after.log_odds[~wall & grid.sky] < 0.0) > 200.0
+    state = np.where(wall, HIDDEN, FREE).astype(np.uint8)
+    mask = ObstructionMask(grid=grid, probability=wall.astype(np.float32), state=state)
+    learned = LearnedObstructions("day", "", BEGIN, mask, horizon_profile(mask))
+    vars(learner)["_learned"] = learned
+    for minutes in (0, 40, 80):
+        bench.worker.look_at(behind_a_wall(minutes))
+    night = bench.worker.finish()
+    assert night.verdict == "clear"
+    assert night.cloud_fraction is not None
+    assert night.cloud_fraction < 0.6 * clouds

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import calendar
 import math
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from typing import NamedTuple
 
 import numpy as np
 
 from sunarc.common.array_types import BoolArray, FloatArray
+from sunarc.common.utc import DAY_S
 from sunarc.imaging.obstructions import (
     SOILED,
     CellGrid,
@@ -21,6 +24,8 @@ from sunarc.imaging.obstructions import (
 from sunarc.optics.camera import camera_sees
 from sunarc.optics.forward import project_fast
 from sunarc.sky.directions import direction_from_angles
+from sunarc.sky.site import Site
+from sunarc.sky.sun import sun_directions
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -106,3 +111,27 @@ def _openings(hidden: Cells, elevation: FloatArray, highest: float) -> tuple[tup
     edges = np.flatnonzero(np.diff(free.astype(int))).reshape(-1, 2)
     spans = [(round(first * _STEP_DEG, 1), round(last * _STEP_DEG, 1)) for first, last in edges.tolist()]
     return tuple(span for span in spans if span[1] - span[0] >= _OPENING_DEG)
+
+
+class SunHours(NamedTuple):
+    """Hours of each month (12,) with the sun up, and those of them in which it is behind the horizon of a profile."""
+
+    up: FloatArray
+    lost: FloatArray
+
+
+_SAMPLED_DAYS, _EVERY_S = (5, 15, 25), 300.0
+
+
+def sun_hours(profile: HorizonProfile, site: Site, *, year: int) -> SunHours:
+    """Return the hours of sun that a horizon hides, by month, of three days each."""
+    up, lost = np.zeros(12), np.zeros(12)
+    for month in range(12):
+        begins = [datetime(year, month + 1, day, tzinfo=UTC).timestamp() for day in _SAMPLED_DAYS]
+        unix_s = np.add.outer(begins, np.arange(0.0, DAY_S, _EVERY_S)).ravel()
+        directions = sun_directions(unix_s, site)
+        days = calendar.monthrange(year, month + 1)[1] / len(_SAMPLED_DAYS)
+        risen = directions[:, 2] > 0.0
+        hours = days * _EVERY_S / 3600.0
+        up[month], lost[month] = (hours * np.count_nonzero(one) for one in (risen, risen & profile.hides(directions)))
+    return SunHours(up, lost)

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sunarc.common.array_types import BoolArray, FloatArray, Image
+from sunarc.common.array_types import BoolArray, FloatArray, Image, IntArray
 from sunarc.common.errors import InputError
 from sunarc.optics.camera import Camera, camera_sees
 from sunarc.optics.forward import project_fast
@@ -31,6 +31,8 @@ _MOST_ODDS = 15.0
 _CLOUDY_WEIGHT, _MOST_CLOUDY_ODDS = 0.1, 3.0
 """Weight of a vote without the sun, and log odds that these can reach: a bank of dark clouds stands for days, a clear
 day overturns it."""
+_NAMED_STAR, _MISSED_STAR = 2.0, 0.5
+"""Log odds of a night's votes: a star is not seen through a wall; one that is missed may be behind a cloud."""
 _HALF_LIFE_S = 60.0 * 86400.0
 _NEEDED_CLEAR_S = 4.0 * 3600.0
 """Time with the sun seen from which on there is a mask: one clear day, in winter too."""
@@ -215,6 +217,33 @@ def updated_sums(
     return _voted(kept, _CellImage(counts, light, texture), grid, sun=sun, vote=vote, sun_seen=sun_seen)
 
 
+def with_stars(sums: ObstructionSums, grid: CellGrid, *, named: FloatArray, missed: FloatArray) -> ObstructionSums:
+    """Return the evidence with a night's: a cell votes once.
+
+    Parameters
+    ----------
+    sums : so far.
+    grid : of the camera.
+    named : (n, 3) directions, east-north-up, in which stars were named: the sky is free there.
+    missed : (m, 3) those of bright stars that were not found in clear images: hidden, where none was named near by.
+    """
+    free, near, hidden = (
+        cv2.dilate(_marked(grid, directions), np.ones((size, size), np.uint8)) > 0
+        for directions, size in ((named, 3), (named, 9), (missed, 5))
+    )
+    odds = np.where(free, sums.log_odds - _NAMED_STAR, sums.log_odds)
+    raised = np.maximum(odds, np.minimum(odds + _MISSED_STAR, _MOST_CLOUDY_ODDS))
+    odds = np.where(hidden & ~near & grid.sky, raised, odds)
+    return replace(sums, log_odds=np.clip(odds, -_MOST_ODDS, _MOST_ODDS).astype(np.float32))
+
+
+def _marked(grid: CellGrid, directions: FloatArray) -> NDArray[np.uint8]:
+    (row, column), seen = _cells_of(grid, directions)
+    marked = np.zeros(grid.shape, dtype=np.uint8)
+    marked[row[seen], column[seen]] = 1
+    return marked
+
+
 class _CellImage(NamedTuple):
     """An image by cells: share of the full scale, logarithm of the light, fine part of that."""
 
@@ -392,13 +421,18 @@ class ObstructionMask:
 
     def hides(self, directions: FloatArray) -> BoolArray:
         """Return (...): which directions (..., 3), east-north-up, are surely behind an obstruction or dirt."""
-        camera, shape = self.grid.camera, self.grid.shape
-        at = project_fast(camera, directions.reshape(-1, 3))
-        seen = camera_sees(camera, at)
-        cells = (np.where(seen[:, None], at + 0.5, 0.0) * shape[::-1] / self.grid.size).astype(int)
-        column, row = np.clip(cells, 0, np.array(shape[::-1]) - 1).T
-        hidden = seen & np.isin(self.state[row, column], (HIDDEN, SOILED))
+        cells, seen = _cells_of(self.grid, directions.reshape(-1, 3))
+        hidden = seen & np.isin(self.state[cells], (HIDDEN, SOILED))
         return np.asarray(hidden).reshape(directions.shape[:-1])
+
+
+def _cells_of(grid: CellGrid, directions: FloatArray) -> tuple[tuple[IntArray, IntArray], BoolArray]:
+    """Return rows and columns (n,) of the cells that directions (n, 3) are in, and whether the camera sees these."""
+    at = project_fast(grid.camera, directions)
+    seen = camera_sees(grid.camera, at)
+    cells = (np.where(seen[:, None], at + 0.5, 0.0) * grid.shape[::-1] / grid.size).astype(int)
+    column, row = np.clip(cells, 0, np.array(grid.shape[::-1]) - 1).T
+    return (row, column), seen
 
 
 def obstruction_mask(sums: ObstructionSums, grid: CellGrid) -> ObstructionMask:
@@ -432,6 +466,24 @@ def _soiled(hidden: BoolArray, contrast: Cells, grid: CellGrid) -> BoolArray:
         if float(np.median(slope[border])) < _BLUR_PER_CELL:
             soiled |= part
     return soiled
+
+
+class ComparedMasks(NamedTuple):
+    """Agreement of a mask with a drawn one: intersection over union, and what either hides alone, square degrees."""
+
+    agreement: float
+    missing_deg2: float
+    extra_deg2: float
+
+
+def compared_masks(mask: ObstructionMask, drawn: BoolArray) -> ComparedMasks:
+    """Return how a mask compares with a drawn one (height, width), over the sky whose state is known."""
+    hides = cv2.resize(drawn.astype(np.float32), mask.grid.shape[::-1], interpolation=cv2.INTER_AREA) > 0.5
+    known, shown = mask.grid.sky & (mask.state != UNKNOWN), np.isin(mask.state, (HIDDEN, SOILED))
+    area = np.where(known, mask.grid.area_deg2, 0.0)
+    both, either = (float(area[one].sum()) for one in (shown & hides, shown | hides))
+    missing, extra = (float(area[one].sum()) for one in (shown & ~hides, hides & ~shown))
+    return ComparedMasks(both / either if either else 1.0, missing, extra)
 
 
 class Change(NamedTuple):

@@ -91,6 +91,11 @@ class StarView:
     predicted: PredictedStars
     camera: Camera
 
+    @property
+    def predicted_directions(self) -> FloatArray:
+        """Apparent directions of the predicted stars, (n, 3)."""
+        return np.asarray(self.sky.directions[self.sky.rows_of(self.predicted.names.tolist())])
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MatchedView:

@@ -85,6 +85,7 @@ def night_worker(service: Service, night: NightCapture) -> NightWorker:
         store=service.images,
         warm_pixels=service.settings.warm_pixels,
         resumes=True,
+        obstructions=service.obstructions,
     )
 
 
@@ -202,7 +203,7 @@ class Service:
             now=self.frame_time.now,
             request_refit=self.request_refit,
             waiting=self._waiting_days,
-            hidden=self.obstructions.hides,
+            hidden=self.obstructions.hides_sun,
         )
         self.cadence = self._cadence()
         self.folder, self.folder_archive = self._followed_folder()

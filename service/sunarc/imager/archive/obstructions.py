@@ -26,6 +26,8 @@ from sunarc.imager.archive.images import write_atomically
 from sunarc.imager.archive.pictures_of_one_time import ELSEWHERE
 from sunarc.imaging.horizon import HorizonProfile, obstructions_of
 from sunarc.imaging.obstructions import (
+    HIDDEN,
+    SOILED,
     CellGrid,
     Change,
     ObstructionMask,
@@ -36,6 +38,7 @@ from sunarc.imaging.obstructions import (
     mask_changes,
     no_sums,
     updated_sums,
+    with_stars,
 )
 from sunarc.sky.sun import sun_directions
 
@@ -58,6 +61,12 @@ class LearnedObstructions(NamedTuple):
     time: datetime
     mask: ObstructionMask
     horizon: HorizonProfile
+
+    @property
+    def hidden_share(self) -> float:
+        """Share of the sky that is hidden, dirt on the dome with it."""
+        area = self.mask.grid.area_deg2
+        return float(area[np.isin(self.mask.state, (HIDDEN, SOILED))].sum() / area.sum())
 
 
 class ObstructionLearner:
@@ -91,19 +100,27 @@ class ObstructionLearner:
             return "no image has been compared with a calibration yet"
         return f"too little sunshine was seen: {self._sums.missing_h:.1f} h more are needed"
 
-    def hides(self, unix_s: FloatArray) -> BoolArray:
-        """Return (n,): at which times, s since 1970, the sun is behind an obstruction; at no time without a mask."""
+    def hides(self, directions: FloatArray) -> BoolArray:
+        """Return (n,): which directions (n, 3), east-north-up, are behind an obstruction; none without a mask."""
         found = self._learned
-        if found is None:
-            return np.zeros(unix_s.shape, dtype=bool)
-        return found.mask.hides(sun_directions(unix_s, self._camera.site))
+        return np.zeros(directions.shape[:-1], dtype=bool) if found is None else found.mask.hides(directions)
+
+    def hides_sun(self, unix_s: FloatArray) -> BoolArray:
+        """Return (n,): at which times, s since 1970, the sun is behind an obstruction."""
+        return self.hides(sun_directions(unix_s, self._camera.site))
 
     def checked(self, detection: Detection, time: datetime) -> Detection:
         """Return a detection, rejected where the sun was behind an obstruction: it is a reflection or a gap's light."""
         counts = detection.accepted or detection.verdict == ELSEWHERE
-        if not counts or not self.hides(np.array([time.timestamp()]))[0]:
+        if not counts or not self.hides_sun(np.array([time.timestamp()]))[0]:
             return detection
         return replace(detection, accepted=False, verdict="obstructed", findings=(Finding("sun_behind_obstruction"),))
+
+    def take_stars(self, named: FloatArray, missed: FloatArray) -> None:
+        """Use the stars of a night, see `with_stars`."""
+        with self._lock:
+            if self._sums is not None and self._grid is not None:
+                self._sums = with_stars(self._sums, self._grid, named=named, missed=missed)
 
     def take(self, image: Image, time: datetime) -> None:
         """Use an image, unless one of the last minutes was used; images that cannot be used or written are left out."""
@@ -173,7 +190,7 @@ class ObstructionLearner:
         """Leave the suns behind obstructions out of every fit that were accepted before the first mask."""
         sightings, name = self._camera.archive.sightings, self._camera.name
         times = sightings.columns(name, since=time - _BEFORE_FIRST, until=time).unix_s
-        for unix_s in times[self.hides(times)].tolist():
+        for unix_s in times[self.hides_sun(times)].tolist():
             at = utc_time(unix_s)
             sightings.exclude(name, Finding("sun_behind_obstruction"), since=at, until=at + MICROSECOND)
 

@@ -359,6 +359,13 @@ class Pose(BaseModel):
     top_azimuth_deg: Annotated[float, described("Azimuth at the top of the image, degrees.", 214.0)]
 
 
+class ObstructionsShown(BaseModel):
+    """The learned mask of `/v1/masks/obstructions`."""
+
+    time: Time
+    hidden_share: Annotated[float, described("Share of the sky above the horizon that is hidden, 0 to 1.", 0.08)]
+
+
 class Status(BaseModel):
     """State of the service, its workers, camera, clock and disk, and the current calibration."""
 
@@ -388,3 +395,4 @@ class Status(BaseModel):
     pose: Annotated[Pose | None, described("The pose by it; null without one.")]
     last_day: Annotated[DayWithAir | None, described("The newest day that has a verdict; null without one.")]
     image_size: Annotated[Size | None, described("Width, height of the camera's image, px.", [1748, 1748])]
+    obstructions: Annotated[ObstructionsShown | None, described("The learned mask; null before a clear day.")]

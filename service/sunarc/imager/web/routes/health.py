@@ -98,7 +98,13 @@ def _status(context: ApiContext) -> schemas.Status:
         pose=None if found is None else _pose(found[1].camera),
         last_day=days[0] if days else None,
         image_size=None if camera is None else list(camera.image_size),
+        obstructions=_obstructions(context),
     )
+
+
+def _obstructions(context: ApiContext) -> schemas.ObstructionsShown | None:
+    learned = None if context.obstructions is None else context.obstructions.learned
+    return None if learned is None else schemas.ObstructionsShown(time=learned.time, hidden_share=learned.hidden_share)
 
 
 def _pose(camera: Camera) -> schemas.Pose:

@@ -147,19 +147,33 @@ def hidden_by_obstructions(context: ApiContext, record: CalibrationRecord) -> Bo
 
     None where neither is there.
     """
-    path = context.options.obstruction_mask
     if record.camera != context.camera:
         return None
+    camera = context.ready.get(record).camera
+    drawn = drawn_mask(context, (camera.width, camera.height))
+    if drawn is not None:
+        return drawn
+    learned = _learned(context, record)
+    return None if learned is None else learned.mask.hidden()
+
+
+def drawn_mask(context: ApiContext, size: tuple[int, int]) -> BoolArray | None:
+    """Return (rows, columns): which pixels `api.obstruction_mask` hides; None where it is unset.
+
+    Raises
+    ------
+    OutsideError
+        It cannot be read, or is not an image of the size (width, height).
+    """
+    path = context.options.obstruction_mask
     if path is None:
-        learned = _learned(context, record)
-        return None if learned is None else learned.mask.hidden()
+        return None
     try:
         image = decoded(read_regular(path), cv2.IMREAD_GRAYSCALE)
     except OSError as error:
         raise OutsideError(f"api.obstruction_mask {path}: {error.strerror}") from error
-    camera = context.ready.get(record).camera
-    if image is None or image.shape != (camera.height, camera.width):
-        raise OutsideError(f"api.obstruction_mask {path}: is not an image of {camera.width}x{camera.height} pixels")
+    if image is None or image.shape[::-1] != size:
+        raise OutsideError(f"api.obstruction_mask {path}: is not an image of {size[0]}x{size[1]} pixels")
     return np.asarray(image == 0)
 
 

@@ -5,6 +5,7 @@ import { $, ago, fillFacts, fillRows, fixed, judged, moment, node, sentences, te
 import { compare, offerComparison } from "./compare.js";
 import { drawFirst, firstWay } from "./first.js";
 import { drawHistory, spanDays } from "./history.js";
+import { readHorizon, showMask } from "./horizon.js";
 import { lookUp } from "./lookup.js";
 import { drawMoves } from "./moves.js";
 import { readNights } from "./night.js";
@@ -14,7 +15,7 @@ import { drawSky, pictureTime, showImage, showPart } from "./sky.js";
 import { Zoom } from "./zoom.js";
 
 const SIGNS = { ready: ["✓", "Ready"], ready_with_note: ["✓", "Ready, with a note"], starting: ["…", "Starting"], attention: ["!", "Attention"], not_serving: ["✕", "Not serving"], gone: ["✕", "No answer"], locked: ["!", "Locked"] };
-const SHOWN_ELSEWHERE = ["health", "state", "state_text", "notes", "pose", "reasons", "findings", "version", "camera_name", "frame_time", "workers", "calibration", "last_day", "image_size", "is_replay", "timezone"];
+const SHOWN_ELSEWHERE = ["health", "state", "state_text", "notes", "pose", "reasons", "findings", "version", "camera_name", "frame_time", "workers", "calibration", "last_day", "image_size", "is_replay", "timezone", "obstructions"];
 const CONDITION_SIGNS = { note: "i", degraded: "!", not_ready: "✕" };
 const NO_ACTION = "none"; // as docs/codes.md has it
 const MOST_POINTS = 1000;
@@ -274,6 +275,8 @@ async function refreshRecord() {
 
 const redrawHistory = () => drawHistory(known.calibrations, known.days, known.counts, known.housekeeping);
 
+const refreshHorizon = () => readHorizon(known.status);
+
 async function refreshEvents() {
   const filters = { kind: $("event-kind").value.trim(), severity: $("event-severity").value };
   const query = Object.entries(filters).filter(([, value]) => value).map(([name, value]) => `&${name}=${encodeURIComponent(value)}`).join("");
@@ -352,10 +355,11 @@ $("token-form").addEventListener("submit", (event) => {
   event.preventDefault();
   keepToken($("token").value.trim());
   $("token").value = "";
-  [refreshStatus, refreshSky, refreshMoves, refreshResiduals, refreshRecord, readSite].forEach(refresh);
+  [refreshStatus, refreshSky, refreshMoves, refreshResiduals, refreshRecord, readSite, refreshHorizon].forEach(refresh);
 });
-window.addEventListener("resize", () => { redrawResiduals(); redrawHistory(); });
+window.addEventListener("resize", () => { redrawResiduals(); redrawHistory(); refresh(refreshHorizon); });
 $("history-span").addEventListener("change", () => { redrawHistory(); refresh(refreshRecord); });
+$("show-mask").addEventListener("change", () => showMask());
 $("zoom-in").addEventListener("click", () => zoom.by(2, known.asked ?? undefined));
 $("zoom-out").addEventListener("click", () => zoom.by(0.5));
 $("zoom-whole").addEventListener("click", () => zoom.whole());
@@ -371,10 +375,12 @@ refresh(refreshMoves);
 await refresh(refreshResiduals);
 refresh(refreshRecord).then(() => refresh(refreshStatus)); // the headline names the last clear day
 refresh(readSite);
+refresh(refreshHorizon);
 listen("/v1/events/stream", ({ kind }) => outdated(kind), () => refresh(refreshStatus));
 every(STATUS_MS, refreshStatus);
 every(SKY_MS, refreshSky);
 every(RESIDUALS_MS, refreshResiduals);
 every(STATUS_MS, refreshMoves);
 every(RECORD_MS, refreshRecord);
+every(RECORD_MS, refreshHorizon);
 document.addEventListener("visibilitychange", () => [refreshStatus, refreshSky, refreshResiduals].forEach(refresh));

@@ -39,7 +39,7 @@ export const pictureTime = () => takenAt;
 // The part [x, y, width, height] of the image that is shown; enlarged it is loaded in full, once and with what comes.
 export function showPart([x, y, width, height], factor, status) {
   const [across, down] = [((x + 0.5) / width) * 100, ((y + 0.5) / height) * 100];
-  $("image").style.transform = `translate(${-across}%, ${-down}%) scale(${factor})`;
+  for (const id of ["image", "mask"]) $(id).style.transform = `translate(${-across}%, ${-down}%) scale(${factor})`;
   if (factor <= 1 || enlarged || !status) return;
   enlarged = true;
   delete $("image").dataset.stamp;

@@ -190,6 +190,23 @@ def cloud_fraction(view: StarView) -> float:
     return 1.0 - float(np.mean(found[counted])) if np.any(counted) else math.nan
 
 
+_CLEAR_CLOUDS = 0.25
+"""Cloud fraction of an image up to which a bright star that is not found is behind something else than a cloud."""
+
+
+def seen_and_missed(views: Sequence[StarView], matched: Sequence[MatchedView]) -> tuple[FloatArray, FloatArray]:
+    """Return the directions (n, 3) of the named stars of a night, and of the bright ones that clear images miss."""
+    seen, missed = [np.zeros((0, 3))], [np.zeros((0, 3))]
+    for view, found in zip(views, matched, strict=True):
+        if not found.matches.accepted:
+            continue
+        seen.append(found.directions(view))
+        if cloud_fraction(view) <= _CLEAR_CLOUDS:
+            bright = view.predicted.magnitude <= COUNTED_TO_V
+            missed.append(view.predicted_directions[bright & ~photometry.detected(view.stars, view.predicted)])
+    return np.concatenate(seen), np.concatenate(missed)
+
+
 def limit_of(view: StarView) -> float:
     """Return the V at which half as many stars are detected as of the bright ones, 5.5 at most."""
     listed = view.predicted.magnitude <= FAINTEST_V

@@ -23,6 +23,7 @@ from sunarc.detection.stars.warm_pixels import WarmPixelMap
 from sunarc.detection.values import FWHM, Stars
 from sunarc.imager.archive.archive import CameraArchive
 from sunarc.imager.archive.images import ImageStore
+from sunarc.imager.archive.obstructions import ObstructionLearner
 from sunarc.imager.archive.values import Event, Night, NightVerdict, Refit, SunPoint, unusable_night
 from sunarc.imager.cameras.frame import Frame
 from sunarc.imager.runtime.loop import turns
@@ -49,6 +50,7 @@ from sunarc.imager.workers.night.named_stars import (
     limit_of,
     numbers_of,
     offset_of,
+    seen_and_missed,
 )
 from sunarc.imager.workers.options import SensorOptions, sensor_of
 from sunarc.sky.days import solar_date
@@ -197,6 +199,7 @@ class NightWorker:
     replaces : whether sightings take the place of former ones of their images.
     warm_pixels : file of the camera's warm pixels; None: they are forgotten with a restart.
     resumes : whether a restart goes on with the night's images.
+    obstructions : learns from the stars; those behind obstructions are not expected.
     """
 
     capture: NightCapture
@@ -214,6 +217,7 @@ class NightWorker:
     warm_pixels: Path | None = None
     replaces: bool = False
     resumes: bool = False
+    obstructions: ObstructionLearner | None = None
 
     def __post_init__(self) -> None:
         """Begin without images."""
@@ -365,6 +369,8 @@ class NightWorker:
             return self._without_numbers(images, (Finding(code),), self._keep(picture, None, calibration))
         images, taken, longer = self._named(images, calibration, heartbeat)
         views, matched = [one.view for one in taken], [one.found for one in taken]
+        if self.obstructions is not None:
+            self.obstructions.take_stars(*seen_and_missed(views, matched))
         summary = summary_of(views, matched)
         measured = numbers_of(taken)
         picture_time = self._keep(picture, dict(zip([image.time for image in images], taken, strict=True)), calibration)
@@ -478,7 +484,11 @@ class NightWorker:
 
     def _view(self, image: _StarImage, calibration: Calibration) -> StarView:
         stars, site = self._warm.without_warm(image.stars), self.camera.site_with_air_at(image.time)
-        return star_view(stars, image.time.timestamp(), site=site, calibration=calibration)
+        view = star_view(stars, image.time.timestamp(), site=site, calibration=calibration)
+        if self.obstructions is None:
+            return view
+        hidden = self.obstructions.hides(view.predicted_directions)
+        return replace(view, predicted=view.predicted.select(~hidden))
 
     def _store(
         self,
