@@ -37,9 +37,9 @@ class SunPath(BaseModel):
 class DrawnMask(BaseModel):
     """Comparison of the learned mask with the file of `api.obstruction_mask`, which is used in its place."""
 
-    agreement: float = Field(description="Intersection of what both hide over their union, 0 to 1.", examples=[0.96])
-    missing_deg2: float = Field(description="What the images show hidden and the file leaves free.", examples=[12.5])
-    extra_deg2: float = Field(description="What the file hides and the images show free.", examples=[3.1])
+    agreement: float = Field(description="Intersection of what both hide over their union, a share.", examples=[0.96])
+    missing_deg2: float = Field(description="Hidden in the images alone, square degrees.", examples=[12.5])
+    extra_deg2: float = Field(description="Hidden by the file alone, square degrees.", examples=[3.1])
 
 
 class Horizon(BaseModel):
