@@ -23,7 +23,8 @@ PARTS = {
         "fleet", "push", "container", "security", "scale",
     ),
     "Understand": (
-        "architecture", *(f"architecture/{house}" for house in HOUSES), "conventions", "maths", "model",
+        "architecture", *(f"architecture/{house}" for house in HOUSES), "architecture/workers",
+        "conventions", "maths", "model",
         "results", "studies", "benchmark/README", "benchmark/results",
     ),
     "Reference": (

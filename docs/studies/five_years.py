@@ -40,7 +40,7 @@ from sunarc.imager.runtime.clock import SystemClock
 from sunarc.imager.runtime.status import StatusRegistry
 from sunarc.imager.web.app import create_app
 from sunarc.imager.web.options import ApiOptions
-from sunarc.imager.workers.calibrating.monitor import DayJudge
+from sunarc.imager.workers.calibrating.day_judge import DayJudge
 from sunarc.imager.workers.calibrating.refit import RefitWorker
 from sunarc.imager.workers.options import RefitOptions
 from sunarc.lab.simulation.truth import SGP, true_camera

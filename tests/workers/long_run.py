@@ -32,7 +32,7 @@ from sunarc.imager.archive.database.schema import upgrade
 from sunarc.imager.archive.values import CameraRecord, Refit, SunPoint
 from sunarc.imager.runtime.clock import VirtualClock
 from sunarc.imager.runtime.status import StatusRegistry
-from sunarc.imager.workers.calibrating.monitor import DayJudge
+from sunarc.imager.workers.calibrating.day_judge import DayJudge
 from sunarc.imager.workers.calibrating.refit import RefitWorker
 from sunarc.imager.workers.calibrating.solver_process import SolveProblem
 from sunarc.imager.workers.options import RefitOptions

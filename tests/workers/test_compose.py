@@ -18,7 +18,7 @@ from sunarc.imager.archive.archive import CameraArchive, open_archive
 from sunarc.imager.archive.images import DiskOptions, ImageStore
 from sunarc.imager.cameras.frame import Frame
 from sunarc.imager.runtime.loop import DropOldestQueue
-from sunarc.imager.workers.capture import ComposeWorker, image_document
+from sunarc.imager.workers.compose import ComposeWorker, image_document
 from sunarc.imager.workers.options import SensorOptions
 from sunarc.imager.workers.sun_prediction import SunPredictor
 from sunarc.imaging.hdr import HdrImage

@@ -30,9 +30,10 @@ from sunarc.imager.archive.database.tables import metadata
 from sunarc.imager.archive.values import CameraRecord, Day, Event, Refit, SunPoint
 from sunarc.imager.runtime.clock import VirtualClock
 from sunarc.imager.runtime.status import Reason, StatusRegistry
-from sunarc.imager.workers.calibrating.monitor import DayJudge, WatchWorker
+from sunarc.imager.workers.calibrating.day_judge import DayJudge
 from sunarc.imager.workers.calibrating.provisional_pose import ProvisionalPoseEstimator
 from sunarc.imager.workers.calibrating.refit import RefitWorker
+from sunarc.imager.workers.calibrating.watch import WatchWorker
 from sunarc.imager.workers.options import RefitOptions
 from sunarc.imager.workers.sun_prediction import SunPredictor
 from sunarc.optics.forward import project

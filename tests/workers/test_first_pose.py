@@ -25,8 +25,8 @@ from sunarc.formats.lens_prior import lens_type_to_json
 from sunarc.imager.archive.archive import CameraArchive, open_archive
 from sunarc.imager.archive.values import CameraRecord
 from sunarc.imager.runtime.status import Reason, StatusRegistry
-from sunarc.imager.workers.calibrating.monitor import WatchWorker
 from sunarc.imager.workers.calibrating.provisional_pose import FirstPose, ProvisionalPoseEstimator
+from sunarc.imager.workers.calibrating.watch import WatchWorker
 from sunarc.imager.workers.options import LensPriorOptions
 from sunarc.lab.simulation.truth import SGP
 from sunarc.optics.camera import Camera

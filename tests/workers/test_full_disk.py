@@ -24,7 +24,7 @@ from sunarc.imager.archive.values import CameraRecord
 from sunarc.imager.cameras.frame import Frame
 from sunarc.imager.runtime.host import prepare_state
 from sunarc.imager.runtime.loop import DropOldestQueue
-from sunarc.imager.workers.capture import ComposeWorker
+from sunarc.imager.workers.compose import ComposeWorker
 from sunarc.imager.workers.detect import DetectWorker, FrozenFrames, SightingWriteBuffer
 from sunarc.imager.workers.options import SensorOptions
 from sunarc.imager.workers.sun_prediction import SunPredictor

@@ -14,7 +14,7 @@ from sunarc.common.errors import CameraError, CameraLostError
 from sunarc.imager.cameras.frame import Frame
 from sunarc.imager.runtime.clock import VirtualClock
 from sunarc.imager.runtime.status import StatusRegistry
-from sunarc.imager.workers.capture import CODE, NightGain
+from sunarc.imager.workers.night.gain import CODE, NightGain
 from sunarc.imager.workers.options import SensorOptions, sensor_of
 from sunarc.lab.simulation.options import SceneOptions, SimulatedNight
 from sunarc.lab.simulation.scene import Scene

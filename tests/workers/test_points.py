@@ -22,8 +22,8 @@ from sunarc.common.array_types import BoolArray, FloatArray
 from sunarc.common.findings import Finding
 from sunarc.imager.archive.archive import Archive, CameraArchive, open_archive
 from sunarc.imager.archive.values import CameraRecord, Day, DayAir, SunPoint
-from sunarc.imager.workers.calibrating import monitor as days
-from sunarc.imager.workers.calibrating.monitor import DayJudge
+from sunarc.imager.workers.calibrating import day_judge as days
+from sunarc.imager.workers.calibrating.day_judge import DayJudge
 from sunarc.imager.workers.calibrating.refit import EpochSearch, RefitTask, next_task
 from sunarc.imager.workers.sun_prediction import SunPredictor
 from sunarc.optics.forward import project

@@ -13,8 +13,8 @@ from sunarc.imager.cameras.replay import open_replay
 from sunarc.imager.runtime.clock import VirtualClock
 from sunarc.imager.runtime.loop import DropOldestQueue
 from sunarc.imager.runtime.status import StatusRegistry
-from sunarc.imager.workers.capture import ReplayWorker
 from sunarc.imager.workers.clock_watch import FrameTime
+from sunarc.imager.workers.replay import ReplayWorker
 
 from .conftest import NOON
 

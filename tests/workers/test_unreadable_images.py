@@ -14,7 +14,7 @@ from sunarc.imager.archive.images import DiskOptions, ImageStore
 from sunarc.imager.cameras.frame import Frame
 from sunarc.imager.runtime.host import prepare_state
 from sunarc.imager.runtime.loop import DropOldestQueue
-from sunarc.imager.workers.capture import ComposeWorker
+from sunarc.imager.workers.compose import ComposeWorker
 from sunarc.imager.workers.options import SensorOptions
 from sunarc.imager.workers.upkeep import DiskWorker
 

@@ -14,8 +14,9 @@ from sunarc.imager.cameras.frame import Frame
 from sunarc.imager.runtime.clock import VirtualClock
 from sunarc.imager.runtime.loop import DropOldestQueue
 from sunarc.imager.runtime.status import StatusRegistry
-from sunarc.imager.workers.capture import CaptureWorker, Cycle, CycleConsistencyFilter
+from sunarc.imager.workers.capture import CaptureWorker
 from sunarc.imager.workers.clock_watch import FrameTime
+from sunarc.imager.workers.cycles import Cycle, CycleConsistencyFilter
 from sunarc.imager.workers.exposures import SunExposures
 from sunarc.imager.workers.options import CaptureOptions
 from sunarc.imaging.exposure import SunExposureOptions

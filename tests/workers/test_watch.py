@@ -32,9 +32,9 @@ from sunarc.imager.archive.archive import CameraArchive, open_archive
 from sunarc.imager.archive.move_pictures import MovePictures
 from sunarc.imager.archive.values import CameraRecord, DayAir, Event, SunPoint
 from sunarc.imager.runtime.status import StatusRegistry
-from sunarc.imager.workers.calibrating import monitor
-from sunarc.imager.workers.calibrating.monitor import WatchWorker
+from sunarc.imager.workers.calibrating import watch
 from sunarc.imager.workers.calibrating.provisional_pose import ProvisionalPoseEstimator
+from sunarc.imager.workers.calibrating.watch import WatchWorker
 from sunarc.lab.simulation.truth import SGP, true_camera
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
@@ -490,7 +490,7 @@ def test_sightings_are_compared_with_the_sun_in_the_measured_air(
         assert site == (air if len(compared) == 2 else SGP)
         return update_window(watched, seen, site=site, **how)
 
-    monkeypatch.setattr(monitor, "update_window", noting)
+    monkeypatch.setattr(watch, "update_window", noting)
     low = datetime(2013, 5, 14, 12, 0, tzinfo=UTC).timestamp()
     imager.see(project(TRUTH, sun_directions(low, SGP)), low)
     day = DayAir(camera="roof", date=date(2013, 5, 14), temperature_c=40.0, pressure_hpa=900.0, set_at=imager.now)

@@ -19,8 +19,8 @@ from sunarc.imager.archive.archive import CameraArchive
 from sunarc.imager.archive.values import CameraRecord
 from sunarc.imager.cameras.frame import Frame
 from sunarc.imager.runtime.status import Reason, StatusRegistry
-from sunarc.imager.workers.calibrating.monitor import WatchWorker
 from sunarc.imager.workers.calibrating.provisional_pose import ProvisionalPoseEstimator
+from sunarc.imager.workers.calibrating.watch import WatchWorker
 from sunarc.imager.workers.capture_status import CaptureReport
 from sunarc.lab.simulation.truth import SGP
 from sunarc.optics.forward import project

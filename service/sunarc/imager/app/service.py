@@ -33,12 +33,14 @@ from sunarc.imager.runtime.status import StatusRegistry
 from sunarc.imager.runtime.supervisor import Supervised, Worker
 from sunarc.imager.settings.model import Settings
 from sunarc.imager.workers import upkeep
-from sunarc.imager.workers.calibrating.monitor import DayJudge, LearnedCadence, WatchWorker
+from sunarc.imager.workers.calibrating.day_judge import DayJudge, LearnedCadence
 from sunarc.imager.workers.calibrating.provisional_pose import FirstPose, ProvisionalPoseEstimator
 from sunarc.imager.workers.calibrating.refit import RefitWorker
-from sunarc.imager.workers.capture import CaptureWorker, ComposeWorker, ReplayWorker, image_document
+from sunarc.imager.workers.calibrating.watch import WatchWorker
+from sunarc.imager.workers.capture import CaptureWorker
 from sunarc.imager.workers.capture_status import OverdueSightings
 from sunarc.imager.workers.clock_watch import ClockWatch, FrameTime
+from sunarc.imager.workers.compose import ComposeWorker, image_document
 from sunarc.imager.workers.detect import DetectWorker, FrozenFrames, SightingWriteBuffer
 from sunarc.imager.workers.exposures import SunExposures
 from sunarc.imager.workers.feed import FeedWorker
@@ -46,6 +48,7 @@ from sunarc.imager.workers.hub_connection import HubConnection
 from sunarc.imager.workers.night.exposures import MoonCapture, MoonExposures, NightCapture, NightExposures
 from sunarc.imager.workers.night.night import NightWorker
 from sunarc.imager.workers.options import NightOptions
+from sunarc.imager.workers.replay import ReplayWorker
 from sunarc.imager.workers.sun_prediction import SunPredictor
 from sunarc.sky.night import moon_disc
 from sunarc.sky.site import Site

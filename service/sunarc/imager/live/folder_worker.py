@@ -32,7 +32,7 @@ from sunarc.imager.live.resized_pictures import ResizedPictures
 from sunarc.imager.runtime.clock import Clock
 from sunarc.imager.runtime.loop import DropOldestQueue, Loop
 from sunarc.imager.runtime.status import CameraStatus, CaptureStatus, Reason, StatusRegistry, condition
-from sunarc.imager.workers.calibrating.monitor import LearnedCadence
+from sunarc.imager.workers.calibrating.day_judge import LearnedCadence
 from sunarc.imager.workers.clock_watch import FrameTime
 from sunarc.sky.days import solar_date
 from sunarc.sky.sun import DARK_ZENITH_DEG

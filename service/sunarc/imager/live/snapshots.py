@@ -30,8 +30,8 @@ from sunarc.imager.runtime.clock import Clock
 from sunarc.imager.runtime.loop import DropOldestQueue, Loop
 from sunarc.imager.runtime.status import CameraStatus, CaptureStatus, Reason, StatusRegistry, condition
 from sunarc.imager.workers import http_exchange
-from sunarc.imager.workers.capture import NOT_WRITTEN
 from sunarc.imager.workers.clock_watch import FrameTime
+from sunarc.imager.workers.compose import NOT_WRITTEN
 from sunarc.imager.workers.options import CaptureOptions, read_login
 from sunarc.sky.sun import DARK_ZENITH_DEG
 from sunarc.sources.image_files import FORMATS, checked_image, image_of, image_size
