@@ -176,7 +176,7 @@ def to_document(
     }
 
 
-def camera_document(document: Document) -> Document:
+def camera_document(document: Mapping[str, Any]) -> Document:
     """Return the part of a calibration document that projects: its camera, its displacement and the sky's sigma.
 
     The keys are those of the whole document; covariance, mixture, evidence and verdict are absent.

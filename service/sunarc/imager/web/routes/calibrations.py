@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Annotated, Any, Literal
 
@@ -13,7 +13,7 @@ from fastapi import APIRouter, Depends, Path, Query, Request
 from fastapi.responses import Response
 
 from sunarc.common.errors import InputError, NotFoundError
-from sunarc.formats.calibration_document import Document, camera_document
+from sunarc.formats.calibration_document import camera_document
 from sunarc.formats.exported import Exported
 from sunarc.formats.formats import FORMATS, SERVED, ServedFormat, export
 from sunarc.imager.archive.values import CalibrationRecord, CalibrationState, Refit, fields_of
@@ -165,7 +165,7 @@ def _camera_text(record: CalibrationRecord) -> bytes:
     return _json(camera_document(record.document))
 
 
-def _json(document: Document) -> bytes:
+def _json(document: Mapping[str, Any]) -> bytes:
     return json.dumps(document, allow_nan=False, separators=(",", ":")).encode()
 
 
