@@ -80,6 +80,10 @@ def _bump(rng: np.random.Generator, lens: Lens, noon: float, days: float) -> lis
     return [Spell(_when(rng, noon, days), moved(rng, lens, 0.2), cause="moved")]
 
 
+def _half_degree(rng: np.random.Generator, lens: Lens, noon: float, days: float) -> list[Spell]:
+    return [Spell(_when(rng, noon, days), moved(rng, lens, 0.5), cause="moved")]
+
+
 def _focus(rng: np.random.Generator, lens: Lens, noon: float, days: float) -> list[Spell]:
     return [Spell(_when(rng, noon, days), refocused(lens, 0.004), cause="lens")]
 
@@ -130,6 +134,8 @@ CASES = {
     "summer time and lean": Case(90, 3, 40, 0.3, _summer),
     "three cloudy days, still": Case(3, 1, 40, 0.6, _still),
     "ten days, still": Case(10, 1, 40, 0.4, _still),
+    "30 days of 8, still": Case(30, 1, 8, 0.2, _still),
+    "30 days of 8, bump .5": Case(30, 1, 8, 0.2, _half_degree),
 }
 
 

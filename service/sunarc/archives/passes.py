@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import cache
-from typing import NamedTuple, Protocol, TypeVar
+from typing import Final, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
@@ -19,8 +21,9 @@ from sunarc.common.robust_statistics import robust_sigma
 from sunarc.common.utc import DAY_S
 from sunarc.detection.values import Detection, Expectation, Verdict
 from sunarc.optics.forward import project
+from sunarc.sky.directions import angular_distance
 from sunarc.sky.site import Site
-from sunarc.sky.sun import sun_directions
+from sunarc.sky.sun import sun_angles, sun_directions
 from sunarc.sources import expected_sun
 from sunarc.sources.index import ArchiveImage, CameraImages, ReportProgress
 from sunarc.sources.look import (
@@ -47,6 +50,11 @@ _PIXEL_STEP, _SIGMA_STEP, _STRETCH_STEP, _ZENITH_STEP = 0.25, 0.5, 5.0, 0.01
 """Steps that predictions are rounded to, in px, px, px/rad and rad: a calibration that new images refine must not have
 all former ones read again."""
 _FEW = 5
+FROZEN: Final = "frozen"
+"""Verdict of an image whose sun is that of an image before it."""
+_SAME_PX, _MOVED_DEG, _MOST_SUNS = 1e-6, 0.25, 60
+"""The same image gives the same digits; the sun moves so far in a minute, 1 px of the coarsest lens: by chance it is
+seen at no such place again."""
 
 
 class FoundSun(NamedTuple):
@@ -305,7 +313,11 @@ def _not_as_expected(looked: Looked, expected: Sequence[Expectation | None]) -> 
         for number, (image, found, one) in enumerate(zip(looked.images, looked.found, expected, strict=True))
         if isinstance(found, FoundSun)
     ]
-    again = [one for one in suns if one[2].verdict != IN_STACK and not expected_sun.is_consistent(one[2], one[3])]
+    again = [
+        one
+        for one in suns
+        if one[2].verdict not in {IN_STACK, FROZEN} and not expected_sun.is_consistent(one[2], one[3])
+    ]
     stacked = {image.time_us for _, image, found, _ in suns if found.verdict == IN_STACK}
     times = {image.time_us for _, image, _, _ in again} & stacked
     numbers = {number for number, *_ in again}
@@ -314,6 +326,49 @@ def _not_as_expected(looked: Looked, expected: Sequence[Expectation | None]) -> 
         for number, image, found, one in suns
         if number in numbers or image.time_us in times
     ]
+
+
+def by_true_times(camera: CameraImages, states: Sequence[State], epochs: Sequence[Epoch]) -> CameraImages:
+    """Return a camera with the images of its dusk and nights that are of the day by the clock of their epoch."""
+    others = (*camera.dusk, *camera.nights)
+    if not epochs or not others:
+        return camera
+    ahead_s = np.array([states[epochs[epoch_at(epochs, one.unix_s)].state].clock_offset_s for one in others])
+    if not np.any(ahead_s):
+        return camera
+    zenith = np.asarray(
+        sun_angles(np.array([one.unix_s for one in others]) - ahead_s, camera.plan.site).apparent_zenith
+    )
+    is_light = (zenith <= camera.plan.largest_zenith_deg) & (ahead_s != 0.0)
+    light = {id_of(others[row]) for row in np.flatnonzero(is_light)}
+    by_day = sorted((*camera.images, *(one for one in others if id_of(one) in light)))
+    dusk, nights = (tuple(one for one in some if id_of(one) not in light) for some in (camera.dusk, camera.nights))
+    return replace(camera, images=tuple(by_day), dusk=dusk, nights=nights)
+
+
+def without_frozen(looked: Looked, site: Site) -> Looked:
+    """Return what was found, suns that stand where one before them stood rejected as frozen, since the sun moved.
+
+    Parameters
+    ----------
+    looked : images in the order of time.
+    site : where the camera stands.
+    """
+    found, seen = list(looked.found), deque[tuple[float, float, float]](maxlen=_MOST_SUNS)
+    for row, (image, one) in enumerate(zip(looked.images, looked.found, strict=True)):
+        if not isinstance(one, FoundSun) or not one.accepted or one.x_px is None or one.y_px is None:
+            continue
+        same = [at for at, x, y in seen if max(abs(x - one.x_px), abs(y - one.y_px)) < _SAME_PX]
+        if any(_moved_deg(at, image.unix_s, site) > _MOVED_DEG for at in same):
+            found[row] = _rejected(FROZEN)
+        else:
+            seen.append((image.unix_s, one.x_px, one.y_px))
+    return Looked(looked.images, tuple(found))
+
+
+def _moved_deg(earlier_s: float, later_s: float, site: Site) -> float:
+    """Return the angle between the suns of two times."""
+    return math.degrees(float(angular_distance(*sun_directions(np.array([earlier_s, later_s]), site))))
 
 
 def without_lifted(searched: Looked, looked: Looked, refused: Sequence[bool]) -> Looked:

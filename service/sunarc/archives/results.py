@@ -18,7 +18,7 @@ from sunarc.archives.fit import Final, Rough, document_of
 from sunarc.archives.ledger import Ledger, ParallelMap, content_key
 from sunarc.archives.nights import NightsLooked
 from sunarc.archives.obstructions import EpochObstructions
-from sunarc.archives.passes import FoundSun, Looked, id_of, kept
+from sunarc.archives.passes import FROZEN, FoundSun, Looked, id_of, kept
 from sunarc.archives.states import Epoch
 from sunarc.common.array_types import FloatArray
 from sunarc.common.errors import InputError, disk_errors
@@ -181,6 +181,10 @@ def _detections(result: CameraResult, ledger: Ledger) -> dict[str, Sequence[obje
     row_of = {id_of(image): row for row, image in enumerate(images)}
     columns: dict[str, list[object]] = {name: [None] * len(images) for name in ("verdict", "code", *_NUMBERS_FOUND)}
     accepted, predicted, open_rows = [False] * len(images), [False] * len(images), set(range(len(images)))
+    for row, found in enumerate(result.looked.found):
+        if isinstance(found, FoundSun) and found.verdict == FROZEN:  # by the images before it, not in the ledger
+            columns["verdict"][row], columns["code"][row] = FROZEN, "frame_repeated"
+            open_rows.remove(row)
     for number in (PREDICTED, SEARCHED):
         for image, known in ledger.answers(result.part, pass_number=number):
             row = row_of.get(image, -1)
@@ -248,7 +252,11 @@ def _sightings(result: CameraResult) -> list[tuple[object, ...]]:
     if result.final is None:
         epochs, offsets, sigmas = [""] * len(rows), [0.0] * len(rows), points.sigma_px.tolist()
     else:
-        epochs = [result.epoch_name(n) for n, one in enumerate(result.epochs) for _ in range(one.first, one.last + 1)]
+        epochs = [
+            result.epoch_name(n) if one.start_unix_s <= unix_s <= one.end_unix_s else ""
+            for n, one in enumerate(result.epochs)
+            for unix_s in points.unix_s[one.first : one.last + 1].tolist()
+        ]
         offsets = [result.final.states[number].clock_offset_s for number in result.final.path.tolist()]
         sigmas = _sigmas(result, offsets).tolist()
     table = []
@@ -294,7 +302,9 @@ def _failures(results: Sequence[CameraResult], indexed: Indexed) -> list[tuple[s
 
 
 def _left_out(results: Sequence[CameraResult], indexed: Indexed) -> list[Failure]:
-    found = [*indexed.failures, *indexed.refused]
+    by_day = {image.name for one in results for image in one.camera.images}
+    night = [one for one in indexed.failures if one.finding.code == "file_at_night" and one.file in by_day]
+    found = [*(one for one in indexed.failures if one not in night), *indexed.refused]
     for one in results:
         for looked in (one.looked, one.nights.looked):
             answers = zip(looked.images, looked.found, strict=True)

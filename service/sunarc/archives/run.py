@@ -22,7 +22,15 @@ from sunarc.archives.fit import (
 from sunarc.archives.ledger import Ledger
 from sunarc.archives.nights import NightsLooked, name_stars, nights_of, star_points
 from sunarc.archives.obstructions import EpochObstructions, epoch_obstructions, images_of_epochs
-from sunarc.archives.passes import Looked, Passes, epoch_at, predictions, without_lifted
+from sunarc.archives.passes import (
+    Looked,
+    Passes,
+    by_true_times,
+    epoch_at,
+    predictions,
+    without_frozen,
+    without_lifted,
+)
 from sunarc.archives.report import write_report
 from sunarc.archives.results import CameraResult, Summary, write_results
 from sunarc.archives.star_start import CameraNightImages, first_by_stars
@@ -36,6 +44,7 @@ from sunarc.imager.archive.database.state_folder import lock_state
 from sunarc.imager.runtime.clock import Clock
 from sunarc.public.calibration_files import read_calibration
 from sunarc.sources.index import CameraImages, Indexed, ReportProgress
+from sunarc.sources.look import PackedMask
 
 _ANOTHER = "wait for that run to end, or give another folder (-o)"
 _DIED = Finding("camera_kills_workers", {"deaths": DEATHS})
@@ -112,17 +121,23 @@ def reanalyse(
 
 
 def _results(
-    cameras: Sequence[CameraImages], started: Sequence[Calibration | None], passes: Passes, ledger: Ledger
+    stated: Sequence[CameraImages], started: Sequence[Calibration | None], passes: Passes, ledger: Ledger
 ) -> list[CameraResult]:
+    cameras = list(stated)
     names, each = [one.plan.name for one in cameras], passes.cluster.each
     masks = passes.masks(cameras)
-    searched = passes.search(cameras, masks)
+    searched = _searched(cameras, masks, passes)
     given = [_sightings(*one) for one in zip(cameras, searched, started, strict=True)]
     passes.progress("epochs", 0, len(cameras))
     rough = [one or Rough(findings=(_DIED,)) for one in ledger.each(each, first_analysis, given, names=names)]
     rough = _by_stars(cameras, given, rough, passes, ledger)
     passes.progress("epochs", len(cameras), len(cameras))
     found = [n for n, one in enumerate(rough) if one.states]
+    lit = {n: by_true_times(cameras[n], rough[n].states, rough[n].epochs) for n in found}
+    later = [n for n, one in lit.items() if one.images != cameras[n].images]
+    again_searched = _searched([lit[n] for n in later], [masks[n] for n in later], passes)
+    for n, one in zip(later, again_searched, strict=True):
+        cameras[n], searched[n] = lit[n], one
     expected = (predictions(cameras[n], rough[n].states, rough[n].epochs) for n in found)
     waiting = [(cameras[n], searched[n]) for n in found]
     looked = dict(zip(found, passes.predict(waiting, expected, [masks[n] for n in found]), strict=True))
@@ -170,6 +185,12 @@ def _numbered(results: Sequence[CameraResult]) -> list[CameraResult]:
             numbered[one.part] = replace(numbered[one.part], final=final)
         before[one.name] = before.get(one.name, 0) + len(one.epochs)
     return [numbered[one.part] for one in results]
+
+
+def _searched(cameras: Sequence[CameraImages], masks: Sequence[PackedMask | None], passes: Passes) -> list[Looked]:
+    """Return the detections without a prediction, those of images that came before rejected."""
+    found = passes.search(cameras, masks) if cameras else []
+    return [without_frozen(one, camera.plan.site) for camera, one in zip(cameras, found, strict=True)]
 
 
 def _of_accepted_epochs(searched: Looked, looked: Looked, final: Final) -> Looked:

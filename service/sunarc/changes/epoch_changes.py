@@ -18,7 +18,7 @@ import numpy as np
 from sunarc.calibration.evidence import EPOCHS, Explained, Weighed, explained, most_probable, step_evidences
 from sunarc.calibration.model.pose_change import PoseChange
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.quality.day_arcs import smooth_arc
+from sunarc.calibration.quality.day_arcs import smooth_arc, smooth_days
 from sunarc.changes.values import CENTER, lens_freedom
 from sunarc.common.array_types import FloatArray, IntArray
 from sunarc.common.findings import Finding
@@ -38,6 +38,9 @@ _OF_POSE_OR_LENS = _STEPS[1:]
 
 _FEWEST_OF_ARC, _MANY_OF_ARC = 9, 60
 """Sightings of a day that show its noise; that of fewer is the usual one of all days."""
+_DAYS_OF_FEW, _FEWEST_OF_DAYS = 12, 48
+"""Days of fewer sightings that show their noise together, at most, and their sightings, at least."""
+_UNKNOWN_NOISE_PX = 1.0
 _LEAST_NOISE_PX = 0.05
 _GROSS_SIGMAS = 3.5
 _MISFIT_PX, _MISFIT_SHARE = 0.15, 0.5
@@ -103,8 +106,27 @@ def noise_of_days(points: Sightings, site: Site) -> FloatArray:
         if rows.size < _MANY_OF_ARC:  # and more than its share of a few, for it leaves out those that are off it
             sigma = max(sigma, _noise_beside_neighbours(points.pixels[rows], np.unwrap(angle)))
         found[rows] = sigma * np.maximum(distance / sigma / _GROSS_SIGMAS, 1.0) ** 2
-    usual = float(np.nanmedian(found)) if np.any(np.isfinite(found)) else 1.0
+    if not np.any(np.isfinite(found)):
+        found = _noise_of_few(points, day, site)
+    usual = float(np.nanmedian(found)) if np.any(np.isfinite(found)) else _UNKNOWN_NOISE_PX
     return np.where(np.isfinite(found), found, usual)
+
+
+def _noise_of_few(points: Sightings, day: IntArray, site: Site) -> FloatArray:
+    """Return the noise (n,) by some days of few sightings each; NaN where too few days follow each other."""
+    found, every, group = np.full(len(points), np.nan), np.unique(day), np.zeros(0, dtype=np.int64)
+    for one in every.tolist():
+        group = np.append(group[day[group] > one - _DAYS_OF_FEW], np.flatnonzero(day == one))
+        if group.size < _FEWEST_OF_DAYS:
+            continue
+        angle = hour_angle(points.unix_s[group], site)
+        rough, unknowns = smooth_days(points.pixels[group], angle, day[group])
+        free = 1.0 - unknowns / group.size
+        distance = np.hypot(rough[:, 0], rough[:, 1])
+        sigma = robust_sigma(distance, share=0.5, floor=_LEAST_NOISE_PX) / math.sqrt(free)
+        new = group[~np.isfinite(found[group])]
+        found[new] = sigma
+    return found
 
 
 def _noise_beside_neighbours(pixels: FloatArray, angle: FloatArray) -> float:

@@ -156,6 +156,7 @@ class CameraImages:
     family : what states the times.
     size : width and height of its images, px.
     nights : those of the night (the sun 12 degrees below the horizon or deeper), in the order of time and name.
+    dusk : those between, which are left out.
     findings : about its files.
     """
 
@@ -165,6 +166,7 @@ class CameraImages:
     family: str
     size: tuple[int, int]
     nights: tuple[ArchiveImage, ...] = ()
+    dusk: tuple[ArchiveImage, ...] = ()
     findings: tuple[Finding, ...] = ()
 
 
@@ -384,6 +386,7 @@ def _add(indexed: Indexed, plan: CameraPlan, members: list[_Found], notes: tuple
             family=families[0][0],
             size=size,
             nights=parts.night,
+            dusk=tuple(one for one, _ in parts.dusk),
             findings=notes if orientation is None else (orientation, *notes),
         )
     )

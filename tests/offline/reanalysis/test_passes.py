@@ -3,15 +3,28 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
-from sunarc.archives.passes import CHUNK, chunks_of, epoch_at, rounded
-from sunarc.archives.states import Epoch
+from sunarc.archives.passes import (
+    CHUNK,
+    FoundSun,
+    Looked,
+    by_true_times,
+    chunks_of,
+    epoch_at,
+    rounded,
+    without_frozen,
+)
+from sunarc.archives.states import Epoch, State
 from sunarc.common.utc import DAY_S
 from sunarc.detection.values import Expectation
 from sunarc.lab.simulation.truth import SGP
+from sunarc.sky.sun import sun_angles
 from sunarc.sources.index import ArchiveImage, CameraImages, CameraPlan, Selector
 from sunarc.sources.look import Item
 
@@ -62,3 +75,44 @@ def test_a_prediction_is_rounded_to_a_quarter_of_a_pixel(
 def test_an_image_belongs_to_the_epoch_of_the_last_sighting_before_it() -> None:
     epochs = [Epoch(n, "start", 0, 0, start, start + 5.0) for n, start in enumerate((100.0, 200.0))]
     assert [epoch_at(epochs, t) for t in (-math.inf, 99.0, 100.0, 199.0, 200.0, np.inf)] == [0, 0, 0, 0, 1, 1]
+
+
+def test_pictures_of_a_wrong_clocks_evening_and_night_are_of_the_day_by_its_true_time() -> None:
+    every = [image(15_806, number) for number in range(0, 24 * 60, 20)]
+    zenith = np.asarray(sun_angles(np.array([one.unix_s for one in every]), SGP).apparent_zenith)
+    day, dusk, night = (
+        tuple(one for one, angle in zip(every, zenith.tolist(), strict=True) if low < angle <= high)
+        for low, high in ((0.0, 90.0), (90.0, 102.0), (102.0, 180.0))
+    )
+    stated = replace(camera(list(day)), dusk=dusk, nights=night)
+    epochs = [Epoch(0, "start", 0, 0, day[0].unix_s, day[-1].unix_s)]
+    ahead, right = (cast("State", SimpleNamespace(clock_offset_s=one)) for one in (2.5 * 3600.0, 0.0))
+    assert by_true_times(stated, [right], epochs) == stated
+    found = by_true_times(stated, [ahead], epochs)
+    late = [one for one in (*dusk, *night) if one in found.images]
+    angles = np.asarray(sun_angles(np.array([one.unix_s for one in late]) - 2.5 * 3600.0, SGP).apparent_zenith)
+    assert set(found.images) == {*day, *late}
+    assert len(late) in {7, 8}  # three an hour
+    assert np.all(angles <= 90.0)
+    assert list(found.images) == sorted(found.images)
+    assert {*found.dusk, *found.nights} == {*dusk, *night} - set(late)
+
+
+def test_a_sun_where_one_before_it_stood_is_frozen_once_the_sun_has_moved() -> None:
+    def seen(place: tuple[float, float]) -> FoundSun:
+        return FoundSun(accepted=True, verdict="clear", x_px=place[0], y_px=place[1], sigma_px=0.5)
+
+    images = tuple(image(15_806, 1080 + 2 * number) for number in range(8))
+    moving = [seen((100.0 + number, 200.0)) for number in range(8)]
+    assert list(without_frozen(Looked(images, tuple(moving)), SGP).found) == moving
+    stuck = [*moving[:3], *[moving[2]] * 3, *moving[6:]]
+    found = without_frozen(Looked(images, tuple(stuck)), SGP).found
+    assert [isinstance(one, FoundSun) and one.verdict for one in found] == [
+        *["clear"] * 3,
+        *["frozen"] * 3,
+        "clear",
+        "clear",
+    ]
+    assert [isinstance(one, FoundSun) and one.accepted for one in found] == [*[True] * 3, *[False] * 3, True, True]
+    soon = tuple(one._replace(time_us=images[0].time_us + 1_000_000 * n) for n, one in enumerate(images))
+    assert list(without_frozen(Looked(soon, tuple(stuck)), SGP).found) == stuck  # the sun has not moved

@@ -309,3 +309,20 @@ def test_few_sightings_of_a_day_show_its_noise_too(count: int, sigma_px: float) 
         found.append(float(np.median(noise_of_days(Sightings.of(unix_s=times, pixels=true + noise), SITE))))
     assert 0.75 * sigma_px < float(np.median(found)) < 1.25 * sigma_px
     assert min(found) > 0.3 * sigma_px
+
+
+@pytest.mark.parametrize("per_day", [5, 8])
+@pytest.mark.parametrize("sigma_px", [0.1, 0.5])
+def test_days_of_few_sightings_show_their_noise_together(per_day: int, sigma_px: float) -> None:
+    noon = START + 11.0 * 3600.0
+    times = np.concatenate(
+        [noon + 86_400.0 * day + 3600.0 * np.linspace(-4.0, 4.0, per_day) for day in range(-(-50 // per_day))]
+    )
+    true = equidistant(times, np.full(times.size, FIRST), turn_deg=20.0)
+    found = []
+    for seed in range(20):
+        pixels = true + sigma_px * np.random.default_rng(seed).standard_normal((times.size, 2))
+        found.append(float(np.median(noise_of_days(Sightings.of(unix_s=times, pixels=pixels), SITE))))
+    assert 0.7 * sigma_px < float(np.median(found)) < 1.3 * sigma_px
+    few = Sightings.of(unix_s=times[:20], pixels=true[:20])
+    assert np.all(noise_of_days(few, SITE) == 1.0)

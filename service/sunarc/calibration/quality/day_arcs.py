@@ -20,7 +20,12 @@ from sunarc.sky.days import date_of_day
 from sunarc.sky.directions import angular_distance
 
 _ORDER = 9
-_ROUNDS = 12
+_ORDER_OF_DAYS, _ORDER_OF_CHANGE = 7, 3
+"""Of the arc that days of few sightings have in common, and of its change from day to day."""
+_SAME_HOURS = 0.02
+"""Least change of a polynomial over the hours by which it is another one."""
+_ROUNDS, _ROUNDS_OF_DAYS = 12, 3
+"""Rounds of weights; of few sightings for each unknown more of them would leave only those that it meets."""
 _POLYNOMIAL_PX = 0.2
 """How well a 9th-order polynomial follows a whole day's arc; finer sightings must not be blamed for its misfit."""
 _LARGEST_GAP = math.radians(5.0)
@@ -42,14 +47,42 @@ def smooth_arc(
     arc : (n, 2) px; residual: (n, 2) observed minus arc; weight: (n,) 0 for sightings off the arc.
     """
     order = min(_ORDER, max(1, pixels.shape[0] // 3)) if order is None else order
+    return _robustly_fitted(_powers(angle, order), pixels)
+
+
+def smooth_days(pixels: FloatArray, angle: FloatArray, day: IntArray) -> tuple[FloatArray, int]:
+    """Return the residuals (n, 2) of consecutive days about one arc that changes steadily, and its unknowns.
+
+    Parameters
+    ----------
+    pixels : (n, 2) px.
+    angle : (n,) hour angles, radians.
+    day : (n,) solar days: some, over which the sun's declination changes evenly.
+    """
+    since = day - day.mean()
+    steady = _powers(angle, _ORDER_OF_CHANGE) * (since / max(float(np.abs(since).max()), 1.0))[:, None]
+    columns = np.concatenate([_powers(angle, _ORDER_OF_DAYS), steady], axis=-1)
+    # images at the same hours of each day determine no more of the arc
+    unknowns = int(np.linalg.matrix_rank(columns, tol=_SAME_HOURS * math.sqrt(len(columns))))
+    return _robustly_fitted(columns, pixels, rounds=_ROUNDS_OF_DAYS)[1], unknowns
+
+
+def _powers(angle: FloatArray, order: int) -> FloatArray:
+    """Return the Chebyshev polynomials (n, order + 1) of hour angles or times (n,)."""
     # in polar summer the hour angle passes 180 degrees while the sun is up
     unwrapped = np.unwrap(angle)
     middle, half = 0.5 * (unwrapped.max() + unwrapped.min()), 0.5 * np.ptp(unwrapped)
-    chebyshev = np.polynomial.chebyshev.chebvander((unwrapped - middle) / max(half, 1e-9), order)
+    return np.asarray(np.polynomial.chebyshev.chebvander((unwrapped - middle) / max(half, 1e-9), order))
+
+
+def _robustly_fitted(
+    columns: FloatArray, pixels: FloatArray, *, rounds: int = _ROUNDS
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the fit (n, 2) of columns (n, p) to pixels, the residuals (n, 2), and the weights (n,)."""
     weight = np.ones(pixels.shape[0])
-    for number in range(_ROUNDS):
-        weighed = (chebyshev * weight[:, None]).T
-        arc = chebyshev @ np.linalg.lstsq(weighed @ chebyshev, weighed @ pixels)[0]
+    for number in range(rounds):
+        weighed = (columns * weight[:, None]).T
+        arc = columns @ np.linalg.lstsq(weighed @ columns, weighed @ pixels)[0]
         distance = np.linalg.norm(pixels - arc, axis=-1)
         sigma = robust_sigma(distance, share=0.5 if number < 4 else 0.3, floor=_POLYNOMIAL_PX)
         weight = cauchy_weights(distance, scale=sigma) if number < 6 else tukey_weights(distance, sigma=sigma)
