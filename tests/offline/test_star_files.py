@@ -26,7 +26,7 @@ from sunarc.formats.calibration_document import from_document, to_document
 from sunarc.formats.csv_files import read_sightings
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
-from sunarc.public.star_files import StarOptions, find_stars, read_stars, write_star_sightings
+from sunarc.public.star_files import StarOptions, find_stars, read_stars, stars_of_image, write_star_sightings
 from sunarc.sky.directions import angles_from_direction, angular_distance
 from sunarc.sky.night import STAR, night_sky
 from sunarc.sky.site import relative_air_mass
@@ -354,3 +354,21 @@ def test_a_file_that_is_no_fits_gets_its_reason(tmp_path: Path) -> None:
     assert [finding.code for finding in one.findings] == ["file_not_image"]
     gone = read_stars(tmp_path / "gone.fits", SITE, StarOptions())
     assert [finding.code for finding in gone.findings] == ["file_not_image"]
+
+
+def test_wide_stars_are_measured_at_half_the_size_with_their_sigma() -> None:
+    rng = np.random.default_rng(5)
+    places = np.stack(np.meshgrid(np.arange(40.0, 440.0, 40.0), np.arange(40.0, 440.0, 40.0)), axis=-1).reshape(-1, 2)
+    places += rng.uniform(-8.0, 8.0, places.shape)
+    image = counted(rng, expected(places, rng.uniform(20_000.0, 60_000.0, len(places)), size=480, width=2.8))
+    time = datetime(2026, 3, 13, 6, tzinfo=UTC)
+    options = StarOptions(full_scale=4095, gain_e_per_count=5.0, reduced_by=2)
+    stars = stars_of_image(image, time, SITE, options, name="wide").stars
+    assert stars is not None
+    apart = np.linalg.norm(stars.pixels[:, None] - places, axis=-1)
+    near = np.min(apart, axis=-1) < 3.0
+    assert np.count_nonzero(near) >= 0.95 * len(places)
+    z = (stars.pixels[near] - places[np.argmin(apart[near], axis=-1)]) / stars.sigma_px[near, None]
+    assert 0.6 < np.sqrt(np.mean(z**2)) < 1.3
+    assert abs(np.median(z)) < 0.3
+    assert np.median(stars.width_px[near]) == pytest.approx(2.8, rel=0.15)

@@ -19,6 +19,7 @@ from sunarc.cli.options import (
     angles_of,
     choice_of,
     print_json,
+    print_sentence,
     print_table,
 )
 from sunarc.cli.owner import act_as_owner_of
@@ -180,9 +181,13 @@ def _found_blind(
 
 
 def _print(found: list[StarImage]) -> None:
-    columns = ("file", "time_utc", "n_detected", "n_stars", "scatter_px", "reason")
     rows = [image.as_json() for image in found]
-    print_table(columns, [[row[column] for column in columns] for row in rows])
+    columns = ("file", "time_utc", "n_detected", "n_stars", "scatter_px")
+    header = ("file", "time", "detected", "stars", "scatter\npx")
+    print_table(header, [[row[column] for column in columns] for row in rows])
+    for row in rows:
+        if row["reason"]:
+            print_sentence(f"{row['file']}: {row['reason']}")
 
 
 def _write(output: Path, found: list[StarImage], sun: Sightings | None, most: int) -> int:

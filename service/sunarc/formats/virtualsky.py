@@ -121,6 +121,9 @@ def virtualsky_json(square: VirtualSky, *, size: tuple[int, int], site: Site, no
             "longitude": site.longitude,
         },
         "element": {"left": round(left, 2), "top": round(top, 2), "image_size_px": list(size)},
-        "notes": [*notes, "VirtualSky draws without refraction: half a degree at the horizon"],
+        "notes": [
+            *notes,
+            "VirtualSky draws without precession since 2000 (0.36 degrees in 2026) and refraction (0.5 at the horizon)",
+        ],
     }
     return json.dumps(written, indent=2).encode() + b"\n"

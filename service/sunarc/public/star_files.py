@@ -9,6 +9,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any, TextIO
 
+import cv2
 import numpy as np
 
 from sunarc.calibration.calibrate import calibrate
@@ -53,6 +54,7 @@ class StarOptions:
     bayer, full_scale : of raw frames; full scale is judged from the file where None.
     gain_e_per_count : electrons per count of a linear camera; None where not known.
     clock_error_s : bound of the error of their times, s; a camera that they give is turned about the pole with it.
+    reduced_by : the factor that images are reduced by before stars are detected in them.
     """
 
     rules: TimeRules = field(default_factory=lambda: ASSUMED_UTC)
@@ -62,6 +64,7 @@ class StarOptions:
     full_scale: int | None = None
     gain_e_per_count: float | None = None
     clock_error_s: float = 10.0
+    reduced_by: int = 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -241,14 +244,28 @@ def stars_of_image(
     """
     found = (image.shape[1], image.shape[0])
     _require_size(name, found, size)
-    stars = detect_stars(
-        image,
-        full_scale=options.full_scale or estimated_full_scale(image),
-        bayer=options.bayer,
-        gain_e_per_count=options.gain_e_per_count,
-    )
+    stars = _detected(image, options)
     sky = night_sky(time.timestamp(), site, faintest=FAINTEST_V)
     return StarImage(file=name, reason="", findings=(), time=time, sky=sky, stars=stars, size=found)
+
+
+def _reduced(image: Image, by: int) -> Image:
+    height, width = (side // by for side in image.shape[:2])
+    mean = cv2.resize(image[: by * height, : by * width], (width, height), interpolation=cv2.INTER_AREA)
+    return mean.astype(np.uint8) if image.dtype == np.uint8 else mean.astype(np.uint16)
+
+
+def _detected(image: Image, options: StarOptions) -> Stars:
+    """Return the stars of an image in its own pixels, detected in it at the size that the options state."""
+    by, gain = options.reduced_by, options.gain_e_per_count
+    stars = detect_stars(
+        image if by == 1 else _reduced(image, by),
+        full_scale=options.full_scale or estimated_full_scale(image),
+        bayer=options.bayer if by == 1 else None,  # means of whole tiles of a mosaic are grey
+        gain_e_per_count=None if gain is None else by**2 * gain,  # a mean of as many counts
+    )
+    middle = 0.5 * (by - 1)
+    return replace(stars, pixels=by * stars.pixels + middle, sigma_px=by * stars.sigma_px, width_px=by * stars.width_px)
 
 
 _FARTHEST_DEG = 2.0
@@ -326,6 +343,8 @@ def _finite_or_none(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
+_LEAST_REDUCED = 2000
+"""Shorter side of pictures in which stars are sought at half the size, too: they are 2 px wide and more there."""
 _GAP_S = 6.0 * 3600.0
 """Between images of one night; between nights it is longer."""
 _HALF_A_YEAR_S = 182.0 * DAY_S
@@ -394,11 +413,22 @@ def find_stars_blind(
     ------
     InputError : the images are not of one size.
     """
+    found = blind_result(_read(paths, site, options), site, options, known=known)
+    size = next((one.size for one in found.images if one.size is not None), (0, 0))
+    if found.start.accepted or min(size) < _LEAST_REDUCED or any(one.stars is None for one in found.images):
+        return found
+    # wide stars among sharp noise: of a large picture at half its size stars stand out
+    half = replace(options, reduced_by=2)
+    reduced = blind_result(_read(paths, site, half), site, half, known=known)
+    return reduced if reduced.accepted else found
+
+
+def _read(paths: Sequence[Path], site: Site, options: StarOptions) -> list[StarImage]:
     seen, size = list[StarImage](), None
     for path in paths:
         seen.append(read_stars(path, site, options, size=size))
         size = size or seen[-1].size
-    return blind_result(seen, site, options, known=known)
+    return seen
 
 
 def blind_result(
