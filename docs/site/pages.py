@@ -16,10 +16,12 @@ from sunarc.cli.main import houses, load_command
 
 HOUSES = ("library", "imager", "archives", "hub", "lab", "client", "cli")
 PARTS = {
-    "First steps": ("first-hour", "explanation", "faq", "troubleshooting", "python", "glossary"),
+    "Tutorials": ("first-hour", *(f"tutorials/{name}" for name in ("csv", "summer", "mast", "night"))),
+    "First steps": ("explanation", "faq", "troubleshooting", "python", "glossary"),
     "Operate": (
         "operating", "operating/install", "operating/run", "operating/sources", "operating/images",
         "operating/names", "operating/archives", "operating/alerts", "operating/rehearse", "operating/another-machine",
+        "operating/tasks",
         "fleet", "push", "container", "security", "scale",
     ),
     "Understand": (
