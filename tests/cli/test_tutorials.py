@@ -17,15 +17,16 @@ PAGES = {
     "night": ["camera.json", "stars.csv", "night.csv"],
 }
 """The tutorials that need no service, with files that a reader has at the end; `tests.first_hour` runs a mast's."""
+ROOT = Path(__file__).parents[2]
 BLOCK = re.compile(r"(?:^ {8}\S.*\n)+", re.MULTILINE)
 COMMAND = re.compile(r"sunarc |printf |head |cp ")
 
 
 @pytest.mark.parametrize("name", PAGES)
-def test_a_tutorial_runs(name: str, root: Path, tmp_path: Path) -> None:
-    folder = shutil.copytree(root / "docs" / "examples", tmp_path / "examples")
+def test_a_tutorial_runs(name: str, tmp_path: Path) -> None:
+    folder = shutil.copytree(ROOT / "docs" / "examples", tmp_path / "examples")
     environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}", "HOME": str(tmp_path)}
-    page, printed = (root / f"docs/tutorials/{name}.md").read_text("utf-8"), ""
+    page, printed = (ROOT / f"docs/tutorials/{name}.md").read_text("utf-8"), ""
     for indented in BLOCK.findall(page):
         block = re.sub(r"(?m)^ {8}", "", indented)
         if not COMMAND.match(block):  # what the command before prints
