@@ -38,7 +38,7 @@ _MOST_DAYS = 40
 _STYLE = """body{font:15px sans-serif;max-width:1000px;margin:2em auto;padding:0 1em;color:#222}
 table{border-collapse:collapse;margin:1em 0}th,td{border:1px solid #bbb;padding:.25em .6em;text-align:left}
 td.n{text-align:right}figure{display:inline-block;margin:.5em 0}img{max-width:min(320px,100%)}h2{margin-top:2em}
-.wide{overflow-x:auto}svg{min-width:600px}"""
+.wide{overflow-x:auto}svg{min-width:600px}td:nth-child(5){min-width:5em}"""
 
 
 def write_report(target: Path, summary: Summary, results: Sequence[CameraResult]) -> None:
@@ -161,24 +161,24 @@ def _poses(result: CameraResult) -> str:
         rows.append(
             (
                 result.epoch_name(number),
-                pose_text(found.camera),
-                *(f"{angle:.2f}" for angle in angles),
                 _number(found.sky_rms_deg),
                 _number(found.sky_max_deg),
                 f"{math.floor(100.0 * sky_share_within(found, limit_deg))} %",
+                pose_text(found.camera),
+                *(f"{angle:.2f}" for angle in angles),
             )
         )
     header = (
         "epoch",
+        "1-sigma RMS, °",
+        "at worst, °",
+        f"sky within {limit_deg:g}°",
         "pose",
         "φxz, °",
         "θzz, °",
         "ψz, °",
-        "1-sigma RMS, °",
-        "at worst, °",
-        f"sky within {limit_deg:g}°",
     )
-    return "<p>Pose, and 1-sigma of directions over the sky:</p>" + _table(header, rows)
+    return "<p>1-sigma of directions over the sky, and pose:</p>" + _table(header, rows)
 
 
 def _time(written: str) -> str:
@@ -219,7 +219,7 @@ def _days(result: CameraResult) -> str:
         for one in days[:: days.size // _MOST_DAYS + 1].tolist()
     ]
     title = (
-        f"<p>{days.size} days"
+        f"<p>{days.size} day{'s' * (days.size != 1)}"
         + (f", every {days.size // _MOST_DAYS + 1}th:" if days.size > _MOST_DAYS else ":")
         + "</p>"
     )
