@@ -213,6 +213,12 @@ def test_the_dashboard_in_a_browser(pictured: Made) -> None:
         assert "zenith_deg" in docs.page.inner_text("#back_project")
         assert docs.page.evaluate("document.documentElement.scrollWidth") <= 360
         is_accessible(docs.page)
+        docs.page.fill("#search", "height_sigma_m cloud")
+        assert docs.page.is_hidden("#back_project")
+        assert docs.page.is_visible("#geolocate")
+        assert docs.page.is_hidden("#routes a[href='#back_project']")
+        docs.page.fill("#search", "")
+        assert docs.page.is_visible("#back_project")
         for one in (desktop, phone, docs):
             assert one.complaints == []
             assert {url.split("/")[2] for url in one.asked if not url.startswith("blob:")} == {address.split("/")[2]}

@@ -113,6 +113,22 @@ function show(document_) {
   if (location.hash) $(decodeURIComponent(location.hash.slice(1)))?.scrollIntoView();
 }
 
+// The routes whose names, fields or texts have every word that is asked for.
+function search() {
+  const words = $("search").value.toLowerCase().split(/\s+/).filter(Boolean);
+  let found = 0;
+  for (const one of $("operations").querySelectorAll(".operation")) {
+    const text = one.textContent.toLowerCase();
+    one.hidden = !words.every((word) => text.includes(word));
+    $("routes").querySelector(`a[href="#${one.id}"]`).hidden = one.hidden;
+    found += Number(!one.hidden);
+  }
+  $("found").textContent = words.length ? `${found} ${found === 1 ? "route" : "routes"}` : "";
+}
+
+$("search").addEventListener("input", search);
+$("search-form").addEventListener("submit", (event) => event.preventDefault());
+
 try {
   show(await ask("/openapi.json"));
 } catch (error) {
