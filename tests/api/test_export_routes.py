@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 import pytest
+import scipy.io
 import xarray as xr
 
 from sunarc.imager.web.routes.calibrations import decimal
@@ -48,6 +49,17 @@ def camera_file(made: Made, at: dict[str, str]) -> str:
         names = sorted(name.rpartition("_")[2].rpartition(".")[2] for name in found.namelist())
         assert names == ["mat", "png", "yaml"]
         return found.read(next(name for name in found.namelist() if name.endswith(".yaml"))).decode()
+
+
+def mask_in(answer: httpx.Response) -> np.ndarray:
+    """Return the mask of asi_core's set, the MATLAB file's, which the PNG agrees with."""
+    with zipfile.ZipFile(io.BytesIO(answer.content)) as found:
+        files = {name.rpartition(".")[2]: found.read(name) for name in found.namelist()}
+    read = scipy.io.loadmat(io.BytesIO(files["mat"]))  # type: ignore[arg-type]
+    mask = np.asarray(read["Mask"][0][0][0])
+    png = np.asarray(cv2.imdecode(np.frombuffer(files["png"], np.uint8), cv2.IMREAD_GRAYSCALE))
+    np.testing.assert_array_equal(png, 255 * mask)
+    return mask
 
 
 @pytest.mark.parametrize("wanted", FORMATS)
@@ -108,6 +120,13 @@ def test_a_map_with_the_sun_and_what_hides_the_sky(make: Make, tmp_path: Path) -
     assert found["sun_mask"].attrs["radius_deg"] == 12.0
     assert int(found["obstruction_mask"].sum()) == 10 * 20
     assert int(found["obstruction_mask"][15, 40]) == 1
+    masked, whole = (
+        ask(one, "/v1/calibration", params={"format": "asi-core"}) for one in (made, make(history="small"))
+    )
+    assert masked.headers["etag"] != whole.headers["etag"]
+    first, second = (mask_in(answer) for answer in (masked, whole))
+    np.testing.assert_array_equal(first, np.where(image == 0, 0, second))
+    assert np.any(second[image == 0])
 
 
 def test_a_mask_of_another_size_is_a_problem_that_names_it(make: Make, tmp_path: Path) -> None:

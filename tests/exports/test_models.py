@@ -22,7 +22,7 @@ from tests.exports.conftest import LENS, FloatArray, document_of
 
 from sunarc.calibration.answers.direction_table import BackProjectionMap
 from sunarc.common.errors import InputError
-from sunarc.formats.asi_core import asi_core_yaml, mask_files
+from sunarc.formats.asi_core import asi_core_yaml, mask_files, mask_of
 from sunarc.formats.exported import Table, Variable
 from sunarc.formats.fisheye import fisheye_model, fisheye_view, pixels_of_rays
 from sunarc.formats.formats import FORMATS, export
@@ -148,7 +148,7 @@ def test_the_mask_is_one_down_to_the_horizon_and_zero_below_and_outside(tmp_path
     found = BackProjectionMap(
         zenith_deg=zenith, azimuth_deg=none, directions=directions, sigma_deg=none, inside=np.isfinite(zenith)
     )
-    files = mask_files(found, stem="roof")
+    files = mask_files(mask_of(found), stem="roof")
     path = tmp_path / "mask.mat"
     path.write_bytes(files["roof_mask.mat"])
     assert scipy.io.loadmat(str(path))["Mask"][0][0][0].tolist() == [[1, 1, 1], [0, 0, 1]]

@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -20,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from sunarc.calibration.answers.direction_table import BackProjectionMap, back_projection_map, lookup
 from sunarc.calibration.model.result import Calibration
-from sunarc.common.array_types import FloatArray
+from sunarc.common.array_types import BoolArray, FloatArray
 from sunarc.common.errors import InputError
 from sunarc.common.extras import extra_module
 from sunarc.formats.calibration_document import from_document
@@ -137,17 +138,27 @@ def _require_mask_size(mask: bytes | None, size: tuple[int, int], *, name: str) 
         raise InputError(field=name, problem=problem, remedy="give the mask of these images")
 
 
+_MASK_PNG = "_mask.png"
+
+
 def mask_of(found: BackProjectionMap) -> NDArray[np.uint8]:
     """Return the mask (height, width): 1 where a pixel looks above the horizon."""
     with np.errstate(invalid="ignore"):
         return np.asarray(found.zenith_deg <= _HORIZON_DEG).astype(np.uint8)
 
 
-def mask_files(found: BackProjectionMap, *, stem: str) -> dict[str, bytes]:
+def mask_files(mask: NDArray[np.uint8], *, stem: str) -> dict[str, bytes]:
     """Return the mask's files: `Mask[0][0][0]` of a MATLAB file, as asi_core reads it, and a PNG of 0 and 255."""
-    mask = mask_of(found)
     png = cv2.imencode(".png", 255 * mask)[1].tobytes()
-    return {f"{stem}_mask.mat": matlab_bytes({"Mask": mask[None, None, None]}), f"{stem}_mask.png": png}
+    return {f"{stem}_mask.mat": matlab_bytes({"Mask": mask[None, None, None]}), f"{stem}{_MASK_PNG}": png}
+
+
+def with_obstructions(exported: Exported, hidden: BoolArray) -> Exported:
+    """Return a camera file whose mask leaves out the pixels (height, width) that are hidden from the sky."""
+    (name,) = (name for name in exported.beside if name.endswith(_MASK_PNG))
+    mask = cv2.imdecode(np.frombuffer(exported.beside[name], np.uint8), cv2.IMREAD_GRAYSCALE)
+    free = np.asarray((np.asarray(mask) > 0) & ~hidden).astype(np.uint8)
+    return replace(exported, beside={**exported.beside, **mask_files(free, stem=name.removesuffix(_MASK_PNG))})
 
 
 def matrix_files(found: BackProjectionMap, *, camera: str, time: str) -> dict[str, bytes]:
@@ -190,7 +201,7 @@ def asi_core_file(calibration: Calibration, document: Document, *, with_matrices
     mounted = document["valid_from"] or FAR_PAST
     name, time = _plain(document["camera"]), re.sub(r"[^0-9]", "", mounted)[:14]
     found = back_projection_map(lookup(calibration))
-    masks = mask_files(found, stem=f"{name}_{time}")
+    masks = mask_files(mask_of(found), stem=f"{name}_{time}")
     matrices = matrix_files(found, camera=name, time=time) if with_matrices else {}
     notes = [
         *notes_of(document),

@@ -13,11 +13,13 @@ from fastapi import APIRouter, Depends, Path, Query, Request
 from fastapi.responses import Response
 
 from sunarc.common.errors import InputError, NotFoundError
+from sunarc.formats.asi_core import with_obstructions
 from sunarc.formats.calibration_document import camera_document
 from sunarc.formats.exported import Exported
 from sunarc.formats.formats import FORMATS, SERVED, ServedFormat, export
 from sunarc.imager.archive.values import CalibrationRecord, CalibrationState, Refit, fields_of
 from sunarc.imager.web.context import ApiContext, SingleFlightCache
+from sunarc.imager.web.hidden_sky import hidden_by_obstructions, obstructions_key
 from sunarc.imager.web.middleware.admission import require_write_token
 from sunarc.imager.web.parameters import BY_CALIBRATION, At, CalibrationId, Cursor, IfNoneMatch, page_at, row_limit
 from sunarc.imager.web.problems import answers, described_answer
@@ -64,7 +66,7 @@ def calibration_routes(context: ApiContext) -> APIRouter:
             return written[detail].answer(record, if_none_match)
         if detail != "whole":
             raise InputError(field="detail", problem=f"is not given of {format_}", remedy="leave out format, or detail")
-        return _export(record, made, format_, if_none_match)
+        return _export(context.of(request), record, made[format_], format_, if_none_match)
 
     @routes.get("/calibrations", responses=answers(422))
     def calibrations(
@@ -174,16 +176,21 @@ def _exported(format_: ServedFormat, record: CalibrationRecord) -> Exported:
 
 
 def _export(
+    context: ApiContext,
     record: CalibrationRecord,
-    made: dict[ServedFormat, SingleFlightCache[CalibrationRecord, Exported]],
+    made: SingleFlightCache[CalibrationRecord, Exported],
     format_: ServedFormat,
     if_none_match: str | None,
 ) -> Response:
-    tag = f'"{tag_of(record)}-{format_}"'
+    masked = obstructions_key(context, record) if format_ == "asi-core" else ""
+    tag = f'"{tag_of(record)}-{format_}{hashlib.sha256(masked.encode()).hexdigest()[:8] if masked else ""}"'
     headers = {"etag": tag, "cache-control": "no-cache"}
     if matches(if_none_match, tag):
         return Response(status_code=304, headers=headers)
-    exported = made[format_].get(record)
+    exported = made.get(record)
+    hidden = hidden_by_obstructions(context, record) if masked else None
+    if hidden is not None:
+        exported = with_obstructions(exported, hidden)
     headers["content-disposition"] = f'attachment; filename="{FORMATS[format_].file}"'
     if exported.difference is not None:
         headers |= {

@@ -21,23 +21,21 @@ from starlette.concurrency import run_in_threadpool
 import sunarc
 from sunarc.calibration.answers.direction_table import BackProjectionMap, back_projection_map
 from sunarc.common.array_types import BoolArray, FloatArray
-from sunarc.common.errors import InputError, OutsideError
-from sunarc.common.foreign_files import read_regular
+from sunarc.common.errors import InputError
 from sunarc.formats.exported import Variable
 from sunarc.formats.formats import FORMATS
 from sunarc.formats.remap import Grid, grid_directions, reach_m, remap_table, remap_tables, remapped
 from sunarc.formats.tables import MAP_FORMATS, MapFormat, map_table, table_bytes
 from sunarc.geolocation.locate import clouds
-from sunarc.imager.archive.obstructions import LearnedObstructions
 from sunarc.imager.archive.values import CalibrationRecord
 from sunarc.imager.web.bulk import ComputeSlots
 from sunarc.imager.web.context import ApiContext
+from sunarc.imager.web.hidden_sky import hidden_by_obstructions, obstructions_key
 from sunarc.imager.web.parameters import BY_CALIBRATION, At, IfNoneMatch
 from sunarc.imager.web.problems import answers, described_answer
 from sunarc.imager.web.routes.calibrations import decimal, etag_of
 from sunarc.imager.web.routes.images import Captured, decoded_preview, image_file
 from sunarc.imager.web.routes.stored_answers import RANGED, AnswerFiles, ResponseBody, Tagged
-from sunarc.imaging.preview import decoded
 from sunarc.optics.camera import Camera
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_directions
@@ -118,12 +116,8 @@ def _content(requested: _Map) -> ResponseBody:
 
 def _tag(requested: _Map) -> str:
     """Return a tag that changes with a map: its calibration, its masks, and its writer."""
-    context, record = requested.context, requested.record
-    path = context.options.obstruction_mask if record.camera == context.camera else None
-    changed = path.stat().st_mtime_ns if path is not None and path.exists() else None
-    learned = _learned(context, record) if path is None else None
-    shown = None if learned is None else learned.time
-    parts = (shown, record.id, sunarc.__version__, requested.format, requested.sun, requested.site, path, changed)
+    masks = obstructions_key(requested.context, requested.record)
+    parts = (masks, requested.record.id, sunarc.__version__, requested.format, requested.sun, requested.site)
     return etag_of(repr(parts).encode())
 
 
@@ -140,47 +134,6 @@ def _flags(holds: BoolArray, text: str, meanings: str, more: Mapping[str, Any]) 
     return Variable(
         dimensions=("y", "x"), values=holds.astype(np.uint8), attributes={"long_name": text, **flags, **more}
     )
-
-
-def hidden_by_obstructions(context: ApiContext, record: CalibrationRecord) -> BoolArray | None:
-    """Return (rows, columns): which pixels are hidden: by `api.obstruction_mask`, else as the images have shown.
-
-    None where neither is there.
-    """
-    if record.camera != context.camera:
-        return None
-    camera = context.ready.get(record).camera
-    drawn = drawn_mask(context, (camera.width, camera.height))
-    if drawn is not None:
-        return drawn
-    learned = _learned(context, record)
-    return None if learned is None else learned.mask.hidden()
-
-
-def drawn_mask(context: ApiContext, size: tuple[int, int]) -> BoolArray | None:
-    """Return (rows, columns): which pixels `api.obstruction_mask` hides; None where it is unset.
-
-    Raises
-    ------
-    OutsideError
-        It cannot be read, or is not an image of the size (width, height).
-    """
-    path = context.options.obstruction_mask
-    if path is None:
-        return None
-    try:
-        image = decoded(read_regular(path), cv2.IMREAD_GRAYSCALE)
-    except OSError as error:
-        raise OutsideError(f"api.obstruction_mask {path}: {error.strerror}") from error
-    if image is None or image.shape[::-1] != size:
-        raise OutsideError(f"api.obstruction_mask {path}: is not an image of {size[0]}x{size[1]} pixels")
-    return np.asarray(image == 0)
-
-
-def _learned(context: ApiContext, record: CalibrationRecord) -> LearnedObstructions | None:
-    """Return the learned mask where a calibration has the pose epoch of the mask's own."""
-    found = None if context.obstructions is None else context.obstructions.learned
-    return found if found is not None and found.pose_epoch == (record.pose_epoch or "") else None
 
 
 def _obstructions(context: ApiContext, record: CalibrationRecord) -> dict[str, Variable]:

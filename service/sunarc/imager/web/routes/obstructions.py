@@ -15,8 +15,8 @@ from sunarc.common.errors import NotFoundError, OutsideError
 from sunarc.common.utc import rfc3339
 from sunarc.imager.archive.obstructions import LearnedObstructions
 from sunarc.imager.web.context import ApiContext
+from sunarc.imager.web.hidden_sky import drawn_mask
 from sunarc.imager.web.problems import answers, described_answer
-from sunarc.imager.web.routes.maps import drawn_mask
 from sunarc.imaging.horizon import sun_hours
 from sunarc.imaging.obstructions import ObstructionMask, compared_masks
 from sunarc.public.mask_files import horizon_csv, mask_png

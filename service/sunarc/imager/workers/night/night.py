@@ -369,8 +369,6 @@ class NightWorker:
             return self._without_numbers(images, (Finding(code),), self._keep(picture, None, calibration))
         images, taken, longer = self._named(images, calibration, heartbeat)
         views, matched = [one.view for one in taken], [one.found for one in taken]
-        if self.obstructions is not None:
-            self.obstructions.take_stars(*seen_and_missed(views, matched))
         summary = summary_of(views, matched)
         measured = numbers_of(taken)
         picture_time = self._keep(picture, dict(zip([image.time for image in images], taken, strict=True)), calibration)
@@ -438,6 +436,8 @@ class NightWorker:
             views.append(self._view(image, calibration))
             heartbeat()
         matched = match_views(views)
+        if self.obstructions is not None:
+            self.obstructions.take_stars(*seen_and_missed(views, matched))
         heartbeat()
         taken = [
             TakenImage(view, found, image.exposure_us / 1e6 * 10.0 ** (image.gain_db / 20.0), image.halo)
