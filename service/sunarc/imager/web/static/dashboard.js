@@ -93,7 +93,7 @@ function lastClearDay() {
   const clear = known.days.find((day) => day.verdict === "clear");
   if (!clear) return known.days.length ? ["no clear day yet"] : [];
   const off = clear.pose_offset_deg, sigma = clear.pose_offset_sigma_deg;
-  const moved = off === null ? "" : off > 3 * (sigma ?? 0) ? `, camera moved by ${telling(off, "°")}` : ", camera not moved";
+  const moved = off === null ? "" : off > 3 * (sigma ?? 0) ? `, pose off by ${telling(off, "°")}` : ", pose as calibrated";
   return [`last clear day ${clear.date}${moved}`];
 }
 
