@@ -115,6 +115,17 @@ def test_pixels_on_a_grid_stay_on_it(seen: Simulated, monkeypatch: pytest.Monkey
     assert seen.sky_error_px(dense.camera) < 1.7 * sky_px(dense)[1]
 
 
+def test_stated_directions_are_taken_together_by_part_of_the_sky(
+    seen: Simulated, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stated = replace(seen.points, directions=sun_directions(seen.points.unix_s, seen.site))
+    dense, _ = fitted(stated, seen, 3000, monkeypatch)
+    assert dense.verdict.accepted
+    said = {one.code: one.data for one in dense.verdict.findings}["sightings_in_slots"]
+    assert float(said["n_points"]) <= 3000.0
+    assert seen.sky_error_px(dense.camera) < 1.7 * sky_px(dense)[1]  # 95 %
+
+
 def test_sightings_that_no_camera_meets_are_thinned_not_averaged(
     seen: Simulated, monkeypatch: pytest.MonkeyPatch
 ) -> None:
