@@ -21,7 +21,7 @@ from sunarc.imaging.obstructions import (
     obstruction_mask,
     sampled_cells,
 )
-from sunarc.optics.camera import camera_sees
+from sunarc.optics.camera import Camera, camera_sees
 from sunarc.optics.forward import project_fast
 from sunarc.sky.directions import direction_from_angles
 from sunarc.sky.site import Site
@@ -53,6 +53,9 @@ class HorizonProfile:
 
 _STEP_DEG = 0.1
 _OPENING_DEG = 1.0
+_ELEVATION = np.arange(0.0, 90.0, _STEP_DEG)
+_AT_ONCE = 20
+"""Azimuths at a time, for the sake of memory."""
 _OFFSETS_DEG = (-0.4, -0.2, 0.0, 0.2, 0.4)
 
 
@@ -77,26 +80,39 @@ def horizon_profile(mask: ObstructionMask, *, sigma_deg: float = 0.0) -> Horizon
     mask : of the camera; dirt on its dome does not count.
     sigma_deg : 1-sigma of the calibration's directions near the horizon.
     """
-    camera, elevation = mask.grid.camera, np.arange(0.0, 90.0, _STEP_DEG)
-    offsets = np.array(_OFFSETS_DEG)
-    azimuth = (np.arange(360.0)[:, None] + offsets)[..., None]
-    directions = direction_from_angles(zenith_deg=90.0 - elevation, azimuth_deg=azimuth)
-    at = project_fast(camera, directions.reshape(-1, 3))
-    seen = camera_sees(camera, at) & np.isfinite(at).all(axis=-1)
     clean = np.where(mask.state == SOILED, 0.0, mask.probability).astype(np.float32)
-    hidden = sampled_cells(clean, at.reshape(360, -1, 2), camera)
-    hidden = hidden.reshape(360, offsets.size, elevation.size)
-    seen = seen.reshape(hidden.shape)
-    tops, widths = (_highest(hidden, seen, limit, elevation) for limit in (0.5, 0.1))
+    parts = [_part(clean, mask.grid.camera, azimuth) for azimuth in np.arange(360.0).reshape(-1, _AT_ONCE)]
+    tops, widths = (np.concatenate([getattr(part, name) for part in parts]) for name in ("tops", "widths"))
     top = np.median(tops, axis=1)
     resolution = mask.grid.resolution_deg / math.sqrt(12.0)
     spread = 1.48 * np.median(np.abs(tops - top[:, None]), axis=1)
     soft = np.median(np.abs(widths - tops), axis=1) / 2.0
     sigma = np.sqrt(resolution**2 + spread**2 + soft**2 + sigma_deg**2)
-    top[~seen.any(axis=(1, 2))] = np.nan
-    middle = np.where(seen, hidden, 1.0)[:, offsets.size // 2]
-    openings = tuple(_openings(row, elevation, highest) for row, highest in zip(middle, top, strict=True))
+    top[~np.concatenate([part.seen for part in parts])] = np.nan
+    middle = np.concatenate([part.middle for part in parts])
+    openings = tuple(_openings(row, _ELEVATION, highest) for row, highest in zip(middle, top, strict=True))
     return HorizonProfile(elevation_deg=top, sigma_deg=sigma, openings=openings)
+
+
+class _Part(NamedTuple):
+    """Azimuths of a horizon (n): highest elevations by offset, whether the image shows them, probabilities."""
+
+    tops: FloatArray
+    widths: FloatArray
+    seen: BoolArray
+    middle: Cells
+
+
+def _part(probability: Cells, camera: Camera, azimuth_deg: FloatArray) -> _Part:
+    azimuth = (azimuth_deg[:, None] + np.array(_OFFSETS_DEG))[..., None]
+    directions = direction_from_angles(zenith_deg=90.0 - _ELEVATION, azimuth_deg=azimuth)
+    at = project_fast(camera, directions.reshape(-1, 3))
+    shape = directions.shape[:-1]
+    seen = (camera_sees(camera, at) & np.isfinite(at).all(axis=-1)).reshape(shape)
+    hidden = sampled_cells(probability, at.reshape(shape[0], -1, 2), camera).reshape(shape)
+    tops, widths = (_highest(hidden, seen, limit, _ELEVATION) for limit in (0.5, 0.1))
+    middle = np.where(seen, hidden, np.float32(1.0))[:, len(_OFFSETS_DEG) // 2]
+    return _Part(tops, widths, np.asarray(seen.any(axis=(1, 2))), middle)
 
 
 def _highest(hidden: Cells, seen: BoolArray, limit: float, elevation: FloatArray) -> FloatArray:

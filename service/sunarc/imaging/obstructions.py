@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -318,7 +318,7 @@ def _voted(
     score = np.where(dark < 0.0, dark * fading if shows_sky else 0.0, dark) + still
     usable = (towards < math.cos(math.radians(_AUREOLE_DEG))) & (image.counts < _SATURATED)
     odds = sums.log_odds * np.float32(0.5 ** (vote * _VOTE_S / _HALF_LIFE_S))
-    voted = odds + np.where(usable, weight * score, 0.0).astype(np.float32)
+    voted = odds + np.where(usable, weight * score, 0.0).astype(np.float32, copy=False)
     if not clear:
         voted = np.where(voted > odds, np.maximum(odds, np.minimum(voted, _MOST_CLOUDY_ODDS)), voted)
     if seen:
@@ -329,8 +329,8 @@ def _voted(
     found = replace(
         sums,
         log_odds=np.clip(voted, -_MOST_ODDS, _MOST_ODDS),
-        texture=mean_texture.astype(np.float32),
-        contrast=mean_contrast.astype(np.float32),
+        texture=mean_texture.astype(np.float32, copy=False),
+        contrast=mean_contrast.astype(np.float32, copy=False),
         votes=sums.votes + weight,
         clear_s=sums.clear_s + vote * _VOTE_S * (seen and spread < _FAIR_SPREAD),
         seen_s=sums.unix_s if seen else sums.seen_s,
@@ -339,13 +339,9 @@ def _voted(
     return _counted(found, "clear" if clear else "cloudy")
 
 
-def _weighted(weights: FloatArray, planes: Iterable[Cells]) -> Cells:
-    """Return the sum of planes (rows, columns), each times its weight."""
-    terms = (np.float32(weight) * plane for weight, plane in zip(weights.tolist(), planes, strict=True))
-    total = next(terms)
-    for term in terms:
-        total += term
-    return total
+def _weighted(weights: FloatArray, planes: Cells) -> Cells:
+    """Return the sum of planes (n, rows, columns), each times its weight (n,)."""
+    return _cells(np.tensordot(weights.astype(np.float32), planes, 1))
 
 
 def _sky_light(light: Cells, sums: ObstructionSums, grid: CellGrid, towards: Cells) -> tuple[Cells, float]:
@@ -364,7 +360,9 @@ def _sky_light(light: Cells, sums: ObstructionSums, grid: CellGrid, towards: Cel
         terms = np.linalg.solve(weighted.T @ rows + ridge + 1e-9 * np.eye(8), weighted.T @ values)
         residual = values - rows @ terms
         weight = prior * (0.2 + up) / (1.0 + (residual / np.where(residual < 0.0, 0.25, 0.5)) ** 2)
-    sky = _weighted(np.asarray(terms, dtype=np.float64), (*grid.basis, *of_sun))
+    sky = _weighted(np.asarray(terms[:6], dtype=np.float64), grid.basis)
+    for term, plane in zip(terms[6:].tolist(), of_sun, strict=True):
+        sky += np.float32(term) * plane
     high = (up > 0.17) & (prior > 0.3)
     spread = 1.48 * float(np.median(np.abs(residual[high]))) if np.count_nonzero(high) else 1.0
     return sky, spread
