@@ -93,6 +93,32 @@ def moving(
     return replace(drawn, lens=after, pixels=pixels)
 
 
+def turning(rng: np.random.Generator, drawn: World, *, deg_per_h: float = 0.0, sway_deg: float = 0.0) -> World:
+    """Turn the mount about an axis within every day: by so much an hour from noon, or to and fro with the sun."""
+    axis = rng.normal(size=3)
+    axis /= np.linalg.norm(axis)
+    hours = (drawn.unix_s / 3600.0 + drawn.place.longitude / 15.0) % 24.0 - 12.0
+    angle = np.radians(deg_per_h * hours + sway_deg * np.sin(hours * math.pi / 12.0))
+    towards = world.sun(drawn.unix_s, drawn.place)
+    # a mount that turns sees the sky turn the other way; angles of a degree at most
+    towards = towards - angle[:, None] * np.cross(axis, towards)
+    pixels = drawn.lens.project(towards / np.linalg.norm(towards, axis=-1, keepdims=True))
+    return replace(drawn, pixels=pixels + rng.normal(0.0, drawn.sigma_px, pixels.shape))
+
+
+def rescaled(rng: np.random.Generator, drawn: World, *, scale: float = 1.0, crop_px: float = 0.0) -> World:
+    """Let a program scale and crop the pictures of the later days otherwise: the camera is that of the last."""
+    late = drawn.unix_s > np.median(drawn.unix_s)
+    towards = rng.normal(size=2)
+    moved = crop_px * towards / np.linalg.norm(towards)
+
+    def changed(pixels: FloatArray) -> FloatArray:
+        return np.asarray((scale - 1.0) * pixels + moved)
+
+    pixels = np.where(late[:, None], drawn.pixels + changed(drawn.pixels), drawn.pixels)
+    return replace(drawn, pixels=pixels, lens=replace(drawn.lens, smear=changed))
+
+
 def morning(rng: np.random.Generator, drawn: World) -> World:
     """Keep the first six hours, beside a field of 0.3 px."""
     lens = replace(drawn.lens, smear=world.smooth_field(rng, size_px=0.3, length_px=425.0))
@@ -210,6 +236,11 @@ ROWS: dict[str, tuple[Drawn, int]] = {
     "clock drifts, 1 day": (row(1, drifting), 6),
     "moved between days": (row(4, _BETWEEN), 6),
     "moved within a day": (row(1, _WITHIN), 12),
+    "turns 0.03 deg/h, 1 day": (row(1, partial(turning, deg_per_h=0.03)), 6),
+    "turns 0.03 deg/h, 4 days": (row(4, partial(turning, deg_per_h=0.03)), 6),
+    "sways 0.3 deg with the sun, 4 days": (row(4, partial(turning, sway_deg=0.3)), 6),
+    "resized by 0.998, 4 days": (row(4, partial(rescaled, scale=0.998)), 6),
+    "cropped by 1 px, 4 days": (row(4, partial(rescaled, crop_px=1.0)), 6),
     "a morning beside a field": (row(1, morning), 6),
     "decentering 5 px, 1 day": (decentred, 6),
     "20 sightings of 4 days": (row(4, few), 12),

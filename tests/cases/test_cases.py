@@ -136,7 +136,7 @@ TABLES = {
     "q_clock-ahead-60-s-on-the-last-2-of-4-days_lens0": (
         lambda fit: "clock_changed" in fit.codes or (fit.accepted and fit.honest), ""),
     "c_last-2-of-4-days-resized-0-998_lens0": (
-        lambda fit: not fit.accepted or fit.honest, "pictures that change between days"),
+        lambda fit: fit.accepted and fit.honest and "picture_changed" in fit.codes, ""),
     "l_cut-to-whole-pixels----5-px---4-d_lens2": (lambda fit: fit.honest and "pixels_on_grid" in fit.codes, ""),
     "a_cut-to-whole-minutes--cadence-60-s-at--37--4-d_lens1": (
         lambda fit: fit.honest and "times_without_seconds" in fit.codes, ""),

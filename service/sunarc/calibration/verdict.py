@@ -90,6 +90,7 @@ SHORT = (
 ASKED = (
     FitCheck("camera_tilted", of.question_asked),
     FitCheck("tilt_in_doubt", of.tilt_to_refuse, Bound("tilt_deg", LEVEL_DEG), "refuse"),
+    FitCheck("picture_changed", of.picture_behind),
 )
 """Tilt that may be a wrong place or clock, which the other refusals (`JudgedFit.against`) may follow from."""
 UNCERTAIN = (
@@ -142,6 +143,8 @@ NOTED = (
     FitCheck("clock_drifts", of.drift_of_clock, Bound("log_odds", proof_of("daily_clock")), "say"),
     FitCheck("detections_biased", of.bias_outwards, Bound("log_odds", proof_of("outwards")), "say"),
     FitCheck("focal_length_changes", of.change_of_focal_length),
+    FitCheck("picture_changed", of.picture),
+    FitCheck("mount_turns", of.turn_by_hour, Bound("log_odds", proof_of("turning")), "widen"),
     FitCheck("mount_sways", of.sway, Bound("log_odds", proof_of("sways")), "widen"),
     FitCheck("pixels_on_grid", of.grid, Bound("step_px", 0.0)),
     *SITE_ASSUMED,

@@ -329,7 +329,14 @@ def test_a_clock_that_differs_from_day_to_day_is_proven() -> None:
 
 def test_where_nothing_is_wrong_nothing_is_proven() -> None:
     found = fitted(TRUTH, FOUR_DAYS, clock_error_s=0.01)
-    assert not codes(found) & {"pixels_not_square", "clock_drifts", "detections_biased", "mount_sways"}
+    assert not codes(found) & {
+        "pixels_not_square",
+        "clock_drifts",
+        "detections_biased",
+        "mount_sways",
+        "mount_turns",
+        "picture_changed",
+    }
     assert found.evidence.pose_spread_deg is None
     error, stated = error_px(found, TRUTH)
     assert 0.001 < error < 1.6 * stated < 0.3
@@ -364,6 +371,46 @@ def by_days(turns_deg: FloatArray, *, sigma_px: float = 0.05, alike: float = 0.0
         pixels = project(replace(TRUTH, rotation_cam_enu=rotation), sun_directions(times, SGP)) + noise
         fitted_days.append(Sightings.of(unix_s=times, pixels=pixels, clock_error_s=0.01))
     return calibrate(stacked(fitted_days), site=SGP, image_size=SIZE)
+
+
+@pytest.mark.parametrize(("scale", "shift_px"), [(1.002, 0.0), (1.0, 1.0), (0.997, 3.0)])
+def test_a_picture_that_is_scaled_or_cropped_between_days_is_named_and_the_camera_is_that_of_now(
+    scale: float, shift_px: float
+) -> None:
+    times = times_of(FOUR_DAYS, cadence_s=300.0)
+    pixels = project(TRUTH, sun_directions(times, SGP))
+    late = times > np.mean([times[0], times[-1]])
+    centre = np.array(TRUTH.principal_point_px)
+    pixels[~late] += (scale - 1.0) * (pixels[~late] - centre) + shift_px * np.array([0.8, -0.6])
+    pixels += np.random.default_rng(11).normal(0.0, 0.05, pixels.shape)
+    found = calibrate(Sightings.of(unix_s=times, pixels=pixels, clock_error_s=0.01), site=SGP, image_size=SIZE)
+    assert found.verdict.accepted, found.verdict.reasons
+    named = next(finding.data for finding in found.verdict.findings if finding.code == "picture_changed")
+    assert named["scale"] == pytest.approx(scale, abs=2e-4)
+    assert named["shift_px"] == pytest.approx(shift_px, abs=0.2)
+    assert named["since"] == "2013-06-02"
+    error, stated = error_px(found, TRUTH)
+    assert 0.001 < error < 1.6 * stated < 0.4
+
+
+@pytest.mark.parametrize(("deg_per_h", "sway_deg"), [(0.03, 0.0), (0.0, 0.3)])
+def test_a_mount_that_turns_with_the_sun_is_named_on_several_days_and_its_noon_within_what_is_stated(
+    deg_per_h: float, sway_deg: float
+) -> None:
+    times = times_of(FOUR_DAYS, cadence_s=300.0)
+    hours = np.mod(times + SGP.longitude * 240.0, DAY) / 3600.0 - 12.0
+    angle = np.radians(deg_per_h * hours + sway_deg * np.sin(hours * np.pi / 12.0))
+    towards = sun_directions(times, SGP)
+    axis = np.array([0.48, 0.6, 0.64])
+    pixels = project(TRUTH, towards - angle[:, None] * np.cross(axis, towards))
+    pixels += np.random.default_rng(12).normal(0.0, 0.05, pixels.shape)
+    found = calibrate(Sightings.of(unix_s=times, pixels=pixels, clock_error_s=0.01), site=SGP, image_size=SIZE)
+    assert found.verdict.accepted, found.verdict.reasons
+    assert "mount_turns" in codes(found)
+    assert found.evidence.pose_spread_deg is not None
+    assert np.linalg.norm(found.evidence.pose_spread_deg) == pytest.approx(np.degrees(np.std(angle)), rel=0.6)
+    error, stated = error_px(found, TRUTH)
+    assert 0.001 < error < 1.6 * stated < 5.0
 
 
 SWAYS_DEG = 0.05 * np.random.default_rng(4).normal(size=(5, 3))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, replace
 from types import MappingProxyType
 from typing import Literal, NamedTuple
@@ -16,10 +16,15 @@ from sunarc.calibration.fit.effects import (
     CLOCK_OFFSET_S,
     N_RADIAL,
     OFFSET_PX,
+    PICTURE,
+    PICTURE_PX,
+    PICTURE_SCALE,
     POSE_DIFFERENCE_DEG,
     SEASONS,
     SWAY_DEG,
     SWAYS,
+    TURNING,
+    TURNING_DEG,
 )
 from sunarc.calibration.fit.robust_fit import FitState
 from sunarc.calibration.model import result
@@ -67,7 +72,7 @@ class FitOutcome(NamedTuple):
     cameras: one an epoch. parameter_names, covariance (p, p), cross (2, p, m): of the last one, errors that no residual
     shows not yet folded in. residual (n, 2) px; used (n,): whether a sighting counted. mixture: None for a Gaussian.
     doubts: of the fit by parts of the sightings; None where they are not asked for. sways_deg: see `with_pose_spread`.
-    displaced (n, 2): px, by the proven season of the focal length, against the camera of now.
+    displaced (n, 2): px, by the proven errors of other days or hours than those of the camera.
     """
 
     cameras: list[Camera]
@@ -123,7 +128,7 @@ def calibration_from_fit(fitted: FitOutcome, job: Job, *, others: Sequence[Findi
     rms, most = sky_sigma_deg(calibration)
     calibration = with_pose_spread(replace(calibration, sky_rms_deg=rms, sky_max_deg=most), fitted.sways_deg)
     known = job.tilt_known or not job.parts  # one that is only compared with others is not asked
-    now = replace(usable, pixels=usable.pixels - fitted.displaced)  # as the camera of now sees them
+    now = replace(usable, pixels=usable.pixels - fitted.displaced)  # as the camera sees them
     verdict = fit_verdict(calibration, now, options, others=others, tilt_known=known)
     return replace(calibration, verdict=verdict)
 
@@ -260,18 +265,22 @@ def robust_outcome(fit: FitState, usable: Sightings, options: CalibrationOptions
         inflation=float(np.mean(fit.noise.inflation)) if len(usable) else math.nan,
         radial_px=fit.scales.radial_px,
         held_out=held_out(fit, usable, without),
-        log_odds=fit.log_odds | _season_share(fit, usable),
+        log_odds=fit.log_odds | _season_share(fit, usable) | _change_of_picture(fit, usable),
         night=_night_difference(fit, usable),
         mixture=fit.posterior.mixture,
         doubts=found,
         sways_deg=_sways_deg(fit, usable),
-        displaced=_by_season(fit),
+        displaced=_displaced(fit, {*SEASONS, PICTURE, TURNING}),
     )
 
 
 def _sways_deg(fit: FitState, usable: Sightings) -> tuple[float, float, float]:
-    """Return how far the mount stands turned on a day, 1-sigma about east, north and up; 0 where it is not proven."""
-    if not result.proves(SWAYS, fit.log_odds.get(SWAYS, 0.0)):
+    """Return how far the mount stands turned on a day or at an hour, 1-sigma about east, north and up; 0 unproven."""
+    if _is_proven(fit, TURNING):
+        by_power = fit.unknowns[fit.problem.block_slice(TURNING)].reshape(3, -1)
+        powers = np.linspace(-1.0, 1.0, 49) ** np.arange(1, by_power.shape[1] + 1)[:, None]
+        return _three(TURNING_DEG * np.sqrt(np.mean((by_power @ powers) ** 2, axis=1)))
+    if not _is_proven(fit, SWAYS):
         return 0.0, 0.0, 0.0
     of_block = fit.problem.block_slice(SWAYS)
     square = (fit.unknowns[of_block] ** 2 + np.diag(fit.posterior.covariance)[of_block]).reshape(-1, 3)
@@ -279,24 +288,42 @@ def _sways_deg(fit: FitState, usable: Sightings) -> tuple[float, float, float]:
     return _three(SWAY_DEG * np.sqrt(np.mean(square, axis=0) * np.unique(usable.day).size / len(square)))
 
 
-def _by_season(fit: FitState) -> FloatArray:
-    """Return (n, 2): by how much the proven season of the focal length displaces the sightings, px."""
-    sizes = [
+def _is_proven(fit: FitState, name: str) -> bool:
+    """Return whether the sightings prove a shared error."""
+    return name in fit.problem.names and result.proves(name, fit.log_odds.get(name, 0.0))
+
+
+def _displaced(fit: FitState, names: Collection[str]) -> FloatArray:
+    """Return (n, 2): by how much the proven ones of some shared errors displace the sightings, px."""
+    parts = [
         fit.observed.systematic_px[..., one.columns] @ fit.unknowns[fit.problem.block_slice(one.name)]
         for one in fit.problem.blocks
-        if one.name in SEASONS and result.proves(one.name, fit.log_odds.get(one.name, 0.0))
+        if one.name in names and _is_proven(fit, one.name)
     ]
-    return np.asarray(np.sum(sizes, axis=0)) if sizes else np.zeros(fit.residual.shape)
+    return np.asarray(np.sum(parts, axis=0)) if parts else np.zeros(fit.residual.shape)
+
+
+def _change_of_picture(fit: FitState, usable: Sightings) -> dict[str, float]:
+    """Return scale and shift of the picture before its change, and the first day after it; nothing unless proven."""
+    if not _is_proven(fit, PICTURE):
+        return {}
+    scale, x, y = fit.unknowns[fit.problem.block_slice(PICTURE)].tolist()
+    columns = next(one.columns for one in fit.problem.blocks if one.name == PICTURE)
+    since = ~np.any(fit.observed.systematic_px[..., columns], axis=(1, 2))
+    return {
+        "picture_scale": 1.0 + PICTURE_SCALE * scale,
+        "picture_shift_px": PICTURE_PX * math.hypot(x, y),
+        "picture_day": float(np.min(usable.day[since])),
+    }
 
 
 def _season_share(fit: FitState, usable: Sightings) -> dict[str, float]:
     """Return the relative change of the focal length within the record; nothing where it is not proven."""
-    size = _by_season(fit)
-    if not np.any(size):
+    if not any(_is_proven(fit, name) for name in SEASONS):
         return {}
     away = usable.pixels - fit.residual - np.array(fit.problem.camera(fit.unknowns).principal_point_px)
     square = np.sum(away**2, axis=-1)
-    changes = np.sum(size * away, axis=-1) / np.maximum(square, float(np.median(square)))
+    changes = np.sum(_displaced(fit, SEASONS) * away, axis=-1) / np.maximum(square, float(np.median(square)))
     return {"season_share": float(np.ptp(changes[square >= np.median(square)]))}
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from sunarc.calibration.evidence import RECORD
 from sunarc.calibration.model.options import USUAL_OPTIONS
+from sunarc.calibration.model.result import STRONG_EVIDENCE
 from sunarc.calibration.model.sightings import Kind, Sightings, grid_steps_px
 from sunarc.calibration.noise import lag_one, neighbours
 from sunarc.calibration.solve.priors import LENS, STRETCH, with_wide_pixels
@@ -49,6 +50,13 @@ _RUNS = 6
 """Parts of the days with a clock of their own, at most."""
 _TURNS = 16
 """Parts of the days with a turn of their own, at most: two days of one part that stand otherwise look like noise."""
+TURNING = "turning"
+TURNING_DEG = 0.15
+"""1-sigma about each axis of how far the mount turns in half a day, on every day alike, as the sun warms its sides."""
+PICTURE = "picture"
+PICTURE_SCALE, PICTURE_PX = 2e-3, 2.0
+"""1-sigma of how a picture is scaled, and shifted along each axis, between two days: by a program that scales and crops
+it, by another focus or lens."""
 SWAYS = "sways"
 SWAY_DEG = 0.05
 """1-sigma about each axis of how far the mount is turned on a day: masts bend by hundredths, and settle by tenths."""
@@ -131,6 +139,11 @@ def _displacements(view: _View) -> Iterator[tuple[str, FloatArray]]:
         daily = [CLOCK_OFFSET_S * apart, CLOCK_DRIFT_S_PER_H * view.hours[:, None] * apart]
         yield "daily_clock", by_time * np.concatenate(daily, axis=-1)[:, None]
     yield PIXELS, view.stretch
+    if view.n_days > 1:
+        if (before := _before_another_picture(view)) is not None:
+            yield PICTURE, _by_picture(view) * before[:, None, None]
+        if _log_evidence(*_split_sums(*_daily_sums(view, by_hour := _by_hour(view)))[2])[0] > STRONG_EVIDENCE:
+            yield TURNING, by_hour
     if view.n_days >= _DAYS_OF_SEASON and np.any(seasons := seasons_of(seen.unix_s)):
         for name, share in SEASONS.items():
             yield name, share * view.focal[:, :, None] * seasons[:, None]
@@ -138,6 +151,60 @@ def _displacements(view: _View) -> Iterator[tuple[str, FloatArray]]:
         in_run, turns = view.runs(_TURNS), view.turned(SWAY_DEG)
         if _seem_to_sway(view, in_run, turns):
             yield SWAYS, (turns[:, :, None] * in_run[:, None, :, None]).reshape(len(seen), 2, -1)
+
+
+def _by_hour(view: _View) -> FloatArray:
+    """Return displacements (n, 2, 9) of a mount that turns about three axes by powers of the hour of the day."""
+    share = view.hours * ~view.seen.night / _HOURS
+    powers = np.stack([share, share**2, share**3], axis=-1)
+    return (view.turned(TURNING_DEG)[..., None] * powers[:, None, None]).reshape(len(share), 2, -1)
+
+
+def _by_picture(view: _View) -> FloatArray:
+    """Return displacements (n, 2, 3) by another scale of the picture, and by a shift along each axis."""
+    shift = np.broadcast_to(PICTURE_PX * np.eye(2), (len(view.seen), 2, 2))
+    return np.concatenate([PICTURE_SCALE * view.focal[:, :, None], shift], axis=-1)
+
+
+def _before_another_picture(view: _View) -> BoolArray | None:
+    """Return which sightings (n,) are of the days before another picture; None where a turn explains them better."""
+    gains = []
+    for columns in (_by_picture(view), view.turned(SWAY_DEG)):
+        early, late, together = _split_sums(*_daily_sums(view, columns))
+        gains.append(_log_evidence(*early) + _log_evidence(*late) - _log_evidence(*together))
+    at = int(np.argmax(gains[0]))
+    changed = gains[0][at] > max(float(np.max(gains[1])), STRONG_EVIDENCE)
+    return view.day <= at if changed else None
+
+
+_Sums = tuple[FloatArray, FloatArray]
+
+
+def _daily_sums(view: _View, columns: FloatArray) -> _Sums:
+    """Return the products (d, k, k) of columns (n, 2, k) over each day, and with what is left over (d, k)."""
+    distance = np.linalg.norm(view.off, axis=-1) * np.sqrt(view.seen.information)
+    root = counted_roots(distance, view.seen.information, floor=_NEGLIGIBLE_PX)
+    off, rows = view.off * root[:, None], columns * root[:, None, None]
+    variance = _variance(view, off, root > 0.0)
+    size = columns.shape[-1]
+    products, pulls = np.zeros((view.n_days, size, size)), np.zeros((view.n_days, size))
+    np.add.at(products, view.day, np.einsum("nap,naq->npq", rows, rows))
+    np.add.at(pulls, view.day, np.einsum("nap,na->np", rows, off))
+    return products / variance, pulls / variance
+
+
+def _variance(view: _View, left: FloatArray, counted: BoolArray) -> float:
+    """Return the variance of what is left over (n, 2), larger where neighbours err alike."""
+    rho, error = lag_one(left, counted, neighbours(view.seen.unix_s, view.seen.day))
+    alike = (1.0 + rho) / (1.0 - rho) if rho > 2.0 * error else 1.0
+    return max(float(np.mean(left[counted] ** 2)) * alike, _NEGLIGIBLE_PX**2)
+
+
+def _split_sums(products: FloatArray, pulls: FloatArray) -> tuple[_Sums, _Sums, _Sums]:
+    """Return sums over the runs before each boundary, those after it, and over all."""
+    summed = np.cumsum(products, axis=0), np.cumsum(pulls, axis=0)
+    before = summed[0][:-1], summed[1][:-1]
+    return before, (summed[0][-1] - before[0], summed[1][-1] - before[1]), (summed[0][-1:], summed[1][-1:])
 
 
 def seasons_of(unix_s: FloatArray) -> FloatArray:
@@ -165,14 +232,12 @@ def _seem_to_sway(view: _View, in_run: BoolArray, turns: FloatArray) -> bool:
     if not np.all(np.diagonal(products, axis1=1, axis2=2) > 0.0):
         return False
     left = off - np.einsum("nap,np->na", rows, in_run @ _most_probable(products, pulls))
-    rho, error = lag_one(left, root > 0.0, neighbours(view.seen.unix_s, view.seen.day))
-    variance = float(np.mean(left[root > 0.0] ** 2)) * ((1.0 + rho) / (1.0 - rho) if rho > 2.0 * error else 1.0)
+    variance = _variance(view, left, root > 0.0)
     products, pulls = products / variance, pulls / variance
-    summed = np.cumsum(products, axis=0), np.cumsum(pulls, axis=0)
-    early, late = [one[:-1] for one in summed], [one[-1] - one[:-1] for one in summed]
+    early, late, together = _split_sums(products, pulls)
     swaying = float(np.sum(_log_evidence(products, pulls)))
     moved = _log_evidence(*early) + _log_evidence(*late)
-    if swaying < float(_log_evidence(*(one[-1:] for one in summed))[0]):
+    if swaying < float(_log_evidence(*together)[0]):
         return False
     at = int(np.argmax(moved))
     turn = _most_probable(late[0], late[1])[at] - _most_probable(early[0], early[1])[at]
@@ -180,14 +245,14 @@ def _seem_to_sway(view: _View, in_run: BoolArray, turns: FloatArray) -> bool:
 
 
 def _most_probable(products: FloatArray, pulls: FloatArray) -> FloatArray:
-    """Return unknowns (r, 3) of unit prior variance by sums over their sightings."""
-    return np.asarray(np.linalg.solve(products + np.eye(3), pulls[..., None])[..., 0])
+    """Return unknowns (r, k) of unit prior variance by sums over their sightings."""
+    return np.asarray(np.linalg.solve(products + np.eye(pulls.shape[-1]), pulls[..., None])[..., 0])
 
 
 def _log_evidence(products: FloatArray, pulls: FloatArray) -> FloatArray:
     """Return the log evidence (r,) of such unknowns, against their being 0."""
     gain = np.sum(pulls * _most_probable(products, pulls), axis=-1)
-    return np.asarray(0.5 * (gain - np.linalg.slogdet(products + np.eye(3))[1]))
+    return np.asarray(0.5 * (gain - np.linalg.slogdet(products + np.eye(pulls.shape[-1]))[1]))
 
 
 POSSIBLE = frozenset({"night_offset", "night_pose", "air", "outwards", "grid", "clock"})

@@ -17,7 +17,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunarc.calibration.fit.effects import PIXELS, POSSIBLE, SEASONS, SHOWN_BY_STARS, SWAYS, with_effects
+from sunarc.calibration.fit.effects import (
+    PICTURE,
+    PIXELS,
+    POSSIBLE,
+    SEASONS,
+    SHOWN_BY_STARS,
+    SWAYS,
+    TURNING,
+    with_effects,
+)
 from sunarc.calibration.fit.marginal_likelihood import (
     FieldSums,
     HyperparameterGrid,
@@ -242,7 +251,7 @@ def robust_rounds(
     grid : scales to try.
     """
     plain = np.concatenate([plain, np.zeros(problem.n_unit)])
-    for name in sorted(problem.names & {*SEASONS, SWAYS}):
+    for name in sorted(problem.names & {*SEASONS, PICTURE, TURNING, SWAYS}):
         plain = _begun(problem, observed, plain, name)
     state = _with_proven(_with_field(problem, observed, plain, grid, groups))
     # weighed before the camera's last step, which may bring the edge of what it shows past a low sun

@@ -181,8 +181,9 @@ class Provenance:
     moves : moves of the camera that were found among the sightings, in the order of time.
     log_odds : natural log odds of each part of the lens model against its being zero (`skew`, `radial`, `decentering`)
         and of a field, how many `radial_terms` are needed, and of the errors that sightings share, see `fit.effects`;
-        `season_share`: by how much of itself the focal length changed within the record, where that is proven. Empty
-        where the method does not compare them.
+        `season_share`: by how much of itself the focal length changed within the record; `picture_scale`,
+        `picture_shift_px`: of the picture before `picture_day`, counted from 1970; where these are proven. Empty where
+        the method does not compare them.
     held_out : doubts by parts of the sightings, by name, see `Doubts`; the covariance is widened by the
         square of its `widening`. Empty where no part was held against the fit.
     """

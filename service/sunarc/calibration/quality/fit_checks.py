@@ -449,6 +449,29 @@ def change_of_focal_length(judged: JudgedFit) -> Data | None:
     return {"log_odds": odds, "share": log_odds["season_share"]}
 
 
+def picture(judged: JudgedFit) -> Data | None:
+    """Return how the picture of earlier days is scaled and shifted against that of the last, where that is proven."""
+    log_odds = judged.calibration.evidence.log_odds
+    if "picture_scale" not in log_odds:
+        return None
+    of_change = {name: log_odds[f"picture_{name}"] for name in ("scale", "shift_px")}
+    since = date_of_day(int(log_odds["picture_day"])).isoformat()
+    return {"log_odds": log_odds["picture"], **of_change, "since": since}
+
+
+def picture_behind(judged: JudgedFit) -> Data | None:
+    """Return a change of the picture where something refuses the fit."""
+    return picture(judged) if judged.against else None
+
+
+def turn_by_hour(judged: JudgedFit) -> Data | None:
+    """Return how the mount turns by the hour of the day, where that is proven."""
+    spread, odds = judged.calibration.evidence.pose_spread_deg, judged.log_odds("turning")
+    if spread is None:
+        return None
+    return {"log_odds": odds, **dict(zip(("east_deg", "north_deg", "up_deg"), spread, strict=True))}
+
+
 def grid(judged: JudgedFit) -> Data:
     """Return the step of the grid that the sun's pixels are on; 0 where they are on none."""
     return {"step_px": float(np.max(grid_steps_px(judged.usable.pixels[judged.usable.kind == Kind.SUN])))}
