@@ -30,10 +30,10 @@ from independent_world import FloatArray, Lens, World
 
 from sunarc.calibration.answers.covariance import project_with_covariance
 from sunarc.calibration.answers.error_model import draw_ensemble
-from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
+from sunarc.changes.record import calibrate_moved
 from sunarc.sky.site import Site
 
 _WITHIN_50, _WITHIN_95 = -2.0 * math.log(0.5), -2.0 * math.log(0.05)
@@ -63,9 +63,9 @@ def again(rng: np.random.Generator, drawn: World, lens: Lens) -> World:
     return seen(rng, lens, drawn.place, drawn.unix_s, drawn.sigma_px)
 
 
-def wide_pixels(rng: np.random.Generator, drawn: World) -> World:
-    """Make pixels 1.03 wide."""
-    return again(rng, drawn, replace(drawn.lens, wide=1.03))
+def wide_pixels(rng: np.random.Generator, drawn: World, *, wide: float) -> World:
+    """Make pixels wider than high."""
+    return again(rng, drawn, replace(drawn.lens, wide=wide))
 
 
 def outwards(_: np.random.Generator, drawn: World) -> World:
@@ -117,6 +117,23 @@ def rescaled(rng: np.random.Generator, drawn: World, *, scale: float = 1.0, crop
 
     pixels = np.where(late[:, None], drawn.pixels + changed(drawn.pixels), drawn.pixels)
     return replace(drawn, pixels=pixels, lens=replace(drawn.lens, smear=changed))
+
+
+def stepped(_: np.random.Generator, drawn: World, *, clock_s: float) -> World:
+    """Let the clock run ahead on the earlier days; it is right on the last."""
+    late = drawn.unix_s > np.median(drawn.unix_s)
+    return replace(drawn, unix_s=drawn.unix_s + clock_s * ~late)
+
+
+def cut(_: np.random.Generator, drawn: World) -> World:
+    """Cut pixels to whole numbers."""
+    return replace(drawn, pixels=np.floor(drawn.pixels))
+
+
+def in_minutes(rng: np.random.Generator, drawn: World) -> World:
+    """Cut times to whole minutes, of exposures at 37 s."""
+    minute = np.floor(drawn.unix_s / 60.0) * 60.0
+    return replace(again_at(rng, drawn, minute + 37.0), unix_s=minute)
 
 
 def morning(rng: np.random.Generator, drawn: World) -> World:
@@ -229,17 +246,23 @@ ROWS: dict[str, tuple[Drawn, int]] = {
     "nothing, 4 days": (row(4), 12),
     "nothing, 1 day, sigma 0.3": (row(1, sigma_px=0.3), 12),
     "nothing, 4 days, sigma 0.3": (row(4, sigma_px=0.3), 12),
-    "pixels 1.03 wide, 1 day": (row(1, wide_pixels), 6),
-    "pixels 1.03 wide, 4 days": (row(4, wide_pixels), 6),
+    "pixels 1.03 wide, 1 day": (row(1, partial(wide_pixels, wide=1.03)), 6),
+    "pixels 1.03 wide, 4 days": (row(4, partial(wide_pixels, wide=1.03)), 6),
+    "pixels 1.02 wide, 1 day": (row(1, partial(wide_pixels, wide=1.02)), 6),
+    "pixels 1.005 wide, 1 day": (row(1, partial(wide_pixels, wide=1.005)), 6),
     "0.1 px outwards, 1 day": (row(1, outwards), 6),
     "0.1 px outwards, 4 days": (row(4, outwards), 6),
     "clock drifts, 1 day": (row(1, drifting), 6),
     "moved between days": (row(4, _BETWEEN), 6),
     "moved within a day": (row(1, _WITHIN), 12),
-    "turns 0.03 deg/h, 1 day": (row(1, partial(turning, deg_per_h=0.03)), 6),
+    "clock steps by 18 s, 4 days": (row(4, partial(stepped, clock_s=18.0)), 6),
+    "turns 0.02 deg/h, 1 day": (row(1, partial(turning, deg_per_h=0.02)), 6),
+    "turns 0.05 deg/h, 1 day": (row(1, partial(turning, deg_per_h=0.05)), 6),
     "turns 0.03 deg/h, 4 days": (row(4, partial(turning, deg_per_h=0.03)), 6),
+    "sways 0.3 deg with the sun, 1 day": (row(1, partial(turning, sway_deg=0.3)), 6),
     "sways 0.3 deg with the sun, 4 days": (row(4, partial(turning, sway_deg=0.3)), 6),
     "resized by 0.998, 4 days": (row(4, partial(rescaled, scale=0.998)), 6),
+    "resized by 0.9995, 4 days": (row(4, partial(rescaled, scale=0.9995)), 6),
     "cropped by 1 px, 4 days": (row(4, partial(rescaled, crop_px=1.0)), 6),
     "a morning beside a field": (row(1, morning), 6),
     "decentering 5 px, 1 day": (decentred, 6),
@@ -251,6 +274,8 @@ ROWS: dict[str, tuple[Drawn, int]] = {
     "rolling shutter, 1 day": (row(1, rolling), 6),
     "two lenses, 1 day": (row(1, mixed), 6),
     "whole pixels, 1 day": (row(1, in_steps), 6),
+    "pixels cut, 4 days": (row(4, cut), 6),
+    "whole minutes, 4 days": (row(4, in_minutes), 6),
     "ghost in half the day": (row(1, ghost), 6),
     "season 3e-4, 26 weeks": (seasonal(26, 3e-4), 6),
     "season 3e-4, 52 weeks": (seasonal(52, 3e-4), 6),
@@ -296,12 +321,12 @@ def outcome(name: str, seed: int, *, draws: int = 0) -> Outcome:
     rng = np.random.default_rng((36, sum(name.encode()), seed))
     made = ROWS[name][0](rng)
     place = made.place
-    fit = calibrate(
+    fit = calibrate_moved(
         Sightings.of(unix_s=made.unix_s, pixels=made.pixels),
         site=Site(latitude=place.latitude, longitude=place.longitude, altitude=place.altitude),
         image_size=(world.SIZE, world.SIZE),
         options=CalibrationOptions(projection="equisolid"),
-    )
+    ).calibration
     sky = world.hemisphere(_DIRECTIONS)
     true = made.lens.project(sky)
     inside = np.all((true > 0.0) & (true < world.SIZE - 1.0), axis=-1)

@@ -92,6 +92,8 @@ def calibrate_moved(points: Sightings, **given: Unpack[FitInput]) -> Moved:
     begin: Camera | None = None
     gains = dict[float, float]()
     for _ in range(_MOST):
+        if "picture_scale" in found.evidence.log_odds:
+            break  # sightings of another picture jump, and are explained
         better = _with_one_more(points, usable, found, fit)
         if better is None:
             break

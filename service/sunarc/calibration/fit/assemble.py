@@ -25,6 +25,7 @@ from sunarc.calibration.fit.effects import (
     SWAYS,
     TURNING,
     TURNING_DEG,
+    TURNING_POWERS,
 )
 from sunarc.calibration.fit.robust_fit import FitState
 from sunarc.calibration.model import result
@@ -277,8 +278,8 @@ def robust_outcome(fit: FitState, usable: Sightings, options: CalibrationOptions
 def _sways_deg(fit: FitState, usable: Sightings) -> tuple[float, float, float]:
     """Return how far the mount stands turned on a day or at an hour, 1-sigma about east, north and up; 0 unproven."""
     if _is_proven(fit, TURNING):
-        by_power = fit.unknowns[fit.problem.block_slice(TURNING)].reshape(3, -1)
-        powers = np.linspace(-1.0, 1.0, 49) ** np.arange(1, by_power.shape[1] + 1)[:, None]
+        by_power = fit.unknowns[fit.problem.block_slice(TURNING)].reshape(3, -1) * TURNING_POWERS
+        powers = np.linspace(-1.0, 1.0, 49) ** np.arange(1, len(TURNING_POWERS) + 1)[:, None]
         return _three(TURNING_DEG * np.sqrt(np.mean((by_power @ powers) ** 2, axis=1)))
     if not _is_proven(fit, SWAYS):
         return 0.0, 0.0, 0.0
@@ -307,7 +308,7 @@ def _change_of_picture(fit: FitState, usable: Sightings) -> dict[str, float]:
     """Return scale and shift of the picture before its change, and the first day after it; nothing unless proven."""
     if not _is_proven(fit, PICTURE):
         return {}
-    scale, x, y = fit.unknowns[fit.problem.block_slice(PICTURE)].tolist()
+    scale, x, y = fit.unknowns[fit.problem.block_slice(PICTURE)][:3].tolist()
     columns = next(one.columns for one in fit.problem.blocks if one.name == PICTURE)
     since = ~np.any(fit.observed.systematic_px[..., columns], axis=(1, 2))
     return {

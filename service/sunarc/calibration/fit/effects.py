@@ -7,6 +7,7 @@ the assumed air with a right clock: in its pose the sun is predicted.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import replace
@@ -15,14 +16,15 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.calibration.evidence import RECORD
+from sunarc.calibration.fit.marginal_likelihood import LOOSE_DECENTERING_PX, LOOSE_RADIAL_PX, prior_precision
 from sunarc.calibration.model.options import USUAL_OPTIONS
 from sunarc.calibration.model.result import STRONG_EVIDENCE
 from sunarc.calibration.model.sightings import Kind, Sightings, grid_steps_px
 from sunarc.calibration.noise import lag_one, neighbours
 from sunarc.calibration.solve.priors import LENS, STRETCH, with_wide_pixels
 from sunarc.calibration.solve.problem import Block, FitProblem, by_elevation
-from sunarc.common.array_types import BoolArray, FloatArray, even_parts
-from sunarc.common.robust_statistics import counted_roots
+from sunarc.common.array_types import BoolArray, FloatArray, IntArray, even_parts
+from sunarc.common.robust_statistics import CUT, counted_roots, robust_sigma
 from sunarc.common.utc import DAY_S
 from sunarc.optics.camera import Param
 from sunarc.optics.forward import by_direction, project_with_rows_fast
@@ -51,12 +53,21 @@ _RUNS = 6
 _TURNS = 16
 """Parts of the days with a turn of their own, at most: two days of one part that stand otherwise look like noise."""
 TURNING = "turning"
-TURNING_DEG = 0.15
-"""1-sigma about each axis of how far the mount turns in half a day, on every day alike, as the sun warms its sides."""
+TURNING_DEG = 0.1
+"""1-sigma about each axis of how far the mount turns in a quarter of a day, on every day alike, as the sun warms it."""
+TURNING_POWERS = (1.0, 0.3, 0.5)
+"""1-sigma of the first, second and third power of the hours since the middle of the day, in that of the turn."""
 PICTURE = "picture"
 PICTURE_SCALE, PICTURE_PX = 2e-3, 2.0
 """1-sigma of how a picture is scaled, and shifted along each axis, between two days: by a program that scales and crops
 it, by another focus or lens."""
+_STEP_DEG = 0.1
+"""1-sigma about each axis of a turn between two days."""
+_LARGEST_STEP_DEG = 0.5
+"""Turn beyond which displacements are not linear: sightings of two poses are parted first."""
+_PASSES = 3
+_MOST_ALIKE = 0.6
+"""Correlation of neighbours' residuals above which a step explains too little."""
 SWAYS = "sways"
 SWAY_DEG = 0.05
 """1-sigma about each axis of how far the mount is turned on a day: masts bend by hundredths, and settle by tenths."""
@@ -82,7 +93,8 @@ class _View(NamedTuple):
     direction, and per radian that it rises. focal (n, 2): px by a focal length twice as long. outwards (n, 2), radius
     (n,): unit vectors away from the principal point, and the distance to it over that of the horizon. off (n, 2): px by
     which the sightings lie next to it. n_days: how many days. hours (n,): from the mean time of each day's
-    sightings.
+    sightings. day (n,): number of the day. by_unknowns (n, 2, p): px by the camera's unknowns, which
+    are at (p,) and have the prior precision (p,); of several days.
     """
 
     seen: Sightings
@@ -96,6 +108,10 @@ class _View(NamedTuple):
     off: FloatArray
     n_days: int
     hours: FloatArray
+    day: IntArray
+    by_unknowns: FloatArray
+    at: FloatArray
+    precision: FloatArray
 
     def runs(self, most: int) -> BoolArray:
         """Return (n, k): which sightings are of each run of days, of so many at most."""
@@ -139,11 +155,10 @@ def _displacements(view: _View) -> Iterator[tuple[str, FloatArray]]:
         daily = [CLOCK_OFFSET_S * apart, CLOCK_DRIFT_S_PER_H * view.hours[:, None] * apart]
         yield "daily_clock", by_time * np.concatenate(daily, axis=-1)[:, None]
     yield PIXELS, view.stretch
-    if view.n_days > 1:
-        if (before := _before_another_picture(view)) is not None:
-            yield PICTURE, _by_picture(view) * before[:, None, None]
-        if _log_evidence(*_split_sums(*_daily_sums(view, by_hour := _by_hour(view)))[2])[0] > STRONG_EVIDENCE:
-            yield TURNING, by_hour
+    yield TURNING, _by_hour(view)
+    if view.n_days > 1 and (before := _before_another_picture(view)) is not None:
+        columns = np.concatenate([_by_picture(view), view.turned(_STEP_DEG)], axis=-1)
+        yield PICTURE, columns * before[:, None, None]
     if view.n_days >= _DAYS_OF_SEASON and np.any(seasons := seasons_of(seen.unix_s)):
         for name, share in SEASONS.items():
             yield name, share * view.focal[:, :, None] * seasons[:, None]
@@ -156,7 +171,7 @@ def _displacements(view: _View) -> Iterator[tuple[str, FloatArray]]:
 def _by_hour(view: _View) -> FloatArray:
     """Return displacements (n, 2, 9) of a mount that turns about three axes by powers of the hour of the day."""
     share = view.hours * ~view.seen.night / _HOURS
-    powers = np.stack([share, share**2, share**3], axis=-1)
+    powers = share[:, None] ** np.arange(1, len(TURNING_POWERS) + 1) * TURNING_POWERS
     return (view.turned(TURNING_DEG)[..., None] * powers[:, None, None]).reshape(len(share), 2, -1)
 
 
@@ -167,44 +182,72 @@ def _by_picture(view: _View) -> FloatArray:
 
 
 def _before_another_picture(view: _View) -> BoolArray | None:
-    """Return which sightings (n,) are of the days before another picture; None where a turn explains them better."""
-    gains = []
-    for columns in (_by_picture(view), view.turned(SWAY_DEG)):
-        early, late, together = _split_sums(*_daily_sums(view, columns))
-        gains.append(_log_evidence(*early) + _log_evidence(*late) - _log_evidence(*together))
-    at = int(np.argmax(gains[0]))
-    changed = gains[0][at] > max(float(np.max(gains[1])), STRONG_EVIDENCE)
-    return view.day <= at if changed else None
+    """Return which sightings (n,) are of the days before another picture; None where a turn or nothing explains them.
+
+    The camera, a turn and another picture are columns of one linear model; each boundary of two days is tried.
+    """
+    n_camera = view.by_unknowns.shape[-1]
+    rows = np.concatenate([view.by_unknowns, _by_picture(view), view.turned(_STEP_DEG)], axis=-1)
+    picture, turn = n_camera + np.arange(3), n_camera + np.arange(3, 6)
+    left, variance, at = view.off, 1.0, 0
+    for _ in range(_PASSES):
+        distance = np.linalg.norm(left, axis=-1) * np.sqrt(view.seen.information)
+        root = roots_of_worst_day(distance, view.seen)
+        daily = _daily_products(view, np.concatenate([rows, view.off[..., None]], axis=-1) * root[:, None, None])
+        # by the variance of the former pass, whose scale was another one
+        steps = _Steps(daily / variance, view.at, view.precision)
+        both, step = steps.evidences(np.concatenate([picture, turn]))
+        at = int(np.argmax(both))
+        of_camera, of_step = rows[..., :n_camera] @ step[at][:n_camera], rows[..., n_camera:] @ step[at][n_camera:]
+        left = view.off - of_camera - of_step * (view.day <= at)[:, None]
+        variance, alike = _variance(view, left * root[:, None], root > 0.0)
+    alone, turned = steps.evidences(picture)[0], steps.evidences(turn)[0]
+    better = max(float(both[at]), float(alone[at])) - max(float(np.max(turned)), steps.none)
+    turn_deg = _STEP_DEG * float(np.linalg.norm(step[at][turn]))
+    if better < STRONG_EVIDENCE or alike > _MOST_ALIKE or turn_deg > _LARGEST_STEP_DEG:
+        return None
+    return np.asarray(view.day <= at)
 
 
-_Sums = tuple[FloatArray, FloatArray]
+class _Steps:
+    """Evidence of a step between two days, for every boundary, the camera's unknowns integrated out."""
+
+    def __init__(self, daily: FloatArray, at: FloatArray, precision: FloatArray) -> None:
+        """Take the products (d, k, k) of each day, those with what is left over as the last column."""
+        self.size, self.precision = at.size, precision
+        self.before, self.total = np.cumsum(daily, axis=0)[:-1], np.sum(daily, axis=0)
+        self.pull = self.total[:-1, -1][: at.size] - precision * at
+        self.none = float(self.evidences(np.zeros(0, dtype=np.int64))[0][0])
+
+    def evidences(self, columns: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Return the log evidence (d - 1,) of a step with some columns, and the unknowns' places (d - 1, k - 1)."""
+        k, p, q = len(self.before), self.size, columns.size
+        information, pull = np.empty((k, p + q, p + q)), np.empty((k, p + q))
+        information[:, :p, :p] = self.total[:p, :p] + np.diag(self.precision)
+        information[:, :p, p:] = self.before[:, :p, columns]
+        information[:, p:, :p] = information[:, :p, p:].swapaxes(1, 2)
+        information[:, p:, p:] = self.before[:, columns[:, None], columns] + np.eye(q)
+        pull[:, :p], pull[:, p:] = self.pull, self.before[:, columns, -1]
+        mean = np.linalg.solve(information, pull[..., None])[..., 0]
+        found = np.zeros((k, len(self.total) - 1))
+        found[:, np.concatenate([np.arange(p), columns])] = mean
+        return 0.5 * (np.sum(pull * mean, axis=1) - np.linalg.slogdet(information)[1]), found
 
 
-def _daily_sums(view: _View, columns: FloatArray) -> _Sums:
-    """Return the products (d, k, k) of columns (n, 2, k) over each day, and with what is left over (d, k)."""
-    distance = np.linalg.norm(view.off, axis=-1) * np.sqrt(view.seen.information)
-    root = counted_roots(distance, view.seen.information, floor=_NEGLIGIBLE_PX)
-    off, rows = view.off * root[:, None], columns * root[:, None, None]
-    variance = _variance(view, off, root > 0.0)
-    size = columns.shape[-1]
-    products, pulls = np.zeros((view.n_days, size, size)), np.zeros((view.n_days, size))
-    np.add.at(products, view.day, np.einsum("nap,naq->npq", rows, rows))
-    np.add.at(pulls, view.day, np.einsum("nap,na->np", rows, off))
-    return products / variance, pulls / variance
+def roots_of_worst_day(distance: FloatArray, seen: Sightings) -> FloatArray:
+    """Return the roots of the information (n,) at the scale of the day that is met worst: none is left out whole.
+
+    `distance` (n,): of the sightings from where they are predicted, in their relative sigmas.
+    """
+    sigma = max(robust_sigma(distance[seen.day == day], floor=_NEGLIGIBLE_PX) for day in np.unique(seen.day))
+    return np.asarray(np.sqrt(seen.information) * (distance < CUT * sigma) / sigma)
 
 
-def _variance(view: _View, left: FloatArray, counted: BoolArray) -> float:
-    """Return the variance of what is left over (n, 2), larger where neighbours err alike."""
-    rho, error = lag_one(left, counted, neighbours(view.seen.unix_s, view.seen.day))
-    alike = (1.0 + rho) / (1.0 - rho) if rho > 2.0 * error else 1.0
-    return max(float(np.mean(left[counted] ** 2)) * alike, _NEGLIGIBLE_PX**2)
-
-
-def _split_sums(products: FloatArray, pulls: FloatArray) -> tuple[_Sums, _Sums, _Sums]:
-    """Return sums over the runs before each boundary, those after it, and over all."""
-    summed = np.cumsum(products, axis=0), np.cumsum(pulls, axis=0)
-    before = summed[0][:-1], summed[1][:-1]
-    return before, (summed[0][-1] - before[0], summed[1][-1] - before[1]), (summed[0][-1:], summed[1][-1:])
+def _daily_products(view: _View, rows: FloatArray) -> FloatArray:
+    """Return the products (d, k, k) of rows (n, 2, k) over each day."""
+    begin = np.searchsorted(view.day, np.arange(view.n_days + 1))
+    of_days = [rows[first:last].reshape(-1, rows.shape[-1]) for first, last in itertools.pairwise(begin)]
+    return np.stack([one.T @ one for one in of_days])
 
 
 def seasons_of(unix_s: FloatArray) -> FloatArray:
@@ -232,16 +275,24 @@ def _seem_to_sway(view: _View, in_run: BoolArray, turns: FloatArray) -> bool:
     if not np.all(np.diagonal(products, axis1=1, axis2=2) > 0.0):
         return False
     left = off - np.einsum("nap,np->na", rows, in_run @ _most_probable(products, pulls))
-    variance = _variance(view, left, root > 0.0)
+    variance, _ = _variance(view, left, root > 0.0)
     products, pulls = products / variance, pulls / variance
-    early, late, together = _split_sums(products, pulls)
+    summed = np.cumsum(products, axis=0), np.cumsum(pulls, axis=0)
+    early, late = [one[:-1] for one in summed], [one[-1] - one[:-1] for one in summed]
     swaying = float(np.sum(_log_evidence(products, pulls)))
     moved = _log_evidence(*early) + _log_evidence(*late)
-    if swaying < float(_log_evidence(*together)[0]):
+    if swaying < float(_log_evidence(*(one[-1:] for one in summed))[0]):
         return False
     at = int(np.argmax(moved))
     turn = _most_probable(late[0], late[1])[at] - _most_probable(early[0], early[1])[at]
     return swaying > moved[at] or SWAY_DEG * float(np.linalg.norm(turn)) < RECORD.least_deg
+
+
+def _variance(view: _View, left: FloatArray, counted: BoolArray) -> tuple[float, float]:
+    """Return the variance of what is left over (n, 2), larger where neighbours err alike, and by how much they do."""
+    rho, error = lag_one(left, counted, neighbours(view.seen.unix_s, view.seen.day))
+    alike = (1.0 + rho) / (1.0 - rho) if rho > 2.0 * error else 1.0
+    return float(np.mean(left[counted] ** 2)) * alike, rho
 
 
 def _most_probable(products: FloatArray, pulls: FloatArray) -> FloatArray:
@@ -309,6 +360,10 @@ def _view(problem: FitProblem, unknowns: FloatArray, observed: Sightings) -> _Vi
         np.zeros((n, 2)),
         days.size,
         (times - (np.bincount(day, times) / np.bincount(day))[day]) / 3600.0,
+        day,
+        problem.linearised(unknowns, observed)[1] if days.size > 1 else np.zeros((n, 2, 0)),
+        unknowns,
+        prior_precision(unknowns.size, LOOSE_RADIAL_PX, LOOSE_DECENTERING_PX),
     )
     for epoch in range(problem.n_epochs):
         rows = observed.epoch == epoch if problem.n_epochs > 1 else slice(None)

@@ -208,6 +208,11 @@ def normal_sums(
     )
 
 
+LOOSE_RADIAL_PX = 16.0
+LOOSE_DECENTERING_PX = 3.0
+"""Scales of the lens before its sightings are seen."""
+
+
 def prior_precision(size: int, radial_px: float, decentering_px: float, *, n_unit: int = 0) -> FloatArray:
     """Return the prior precisions of all unknowns, (size,): lens, poses, and those of shared errors."""
     poses = np.full(size - N_LENS - n_unit, _POSE_PRECISION)

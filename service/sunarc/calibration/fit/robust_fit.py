@@ -25,9 +25,12 @@ from sunarc.calibration.fit.effects import (
     SHOWN_BY_STARS,
     SWAYS,
     TURNING,
+    roots_of_worst_day,
     with_effects,
 )
 from sunarc.calibration.fit.marginal_likelihood import (
+    LOOSE_DECENTERING_PX,
+    LOOSE_RADIAL_PX,
     FieldSums,
     HyperparameterGrid,
     MarginalFit,
@@ -134,9 +137,8 @@ def _costs(distance: FloatArray, scales: FloatArray) -> FloatArray:
 
 
 _ROUNDS = 5
+_PASSES = 3
 _FIRST_FIELD_PX = 1.0
-LOOSE_RADIAL_PX = 16.0
-LOOSE_DECENTERING_PX = 3.0
 _FIELD_MAY_COST = 1.1
 """Robust cost with a field over that without: priors and correlated noise make it 1.04 at most where all is well."""
 _FIELD_SHRINKS = 0.25
@@ -251,8 +253,10 @@ def robust_rounds(
     grid : scales to try.
     """
     plain = np.concatenate([plain, np.zeros(problem.n_unit)])
-    for name in sorted(problem.names & {*SEASONS, PICTURE, TURNING, SWAYS}):
+    for name in sorted(problem.names & {*SEASONS, TURNING, SWAYS}):
         plain = _begun(problem, observed, plain, name)
+    if PICTURE in problem.names:
+        plain = _begun_with_camera(problem, observed, plain)
     state = _with_proven(_with_field(problem, observed, plain, grid, groups))
     # weighed before the camera's last step, which may bring the edge of what it shows past a low sun
     noise, shown = state.noise, is_shown(state.residual)
@@ -275,6 +279,19 @@ def _begun(problem: FitProblem, observed: Sightings, unknowns: FloatArray, name:
     begun = unknowns.copy()
     begun[of_block] = np.linalg.solve(products, np.einsum("nap,na->p", columns, left, optimize=True))
     return begun
+
+
+def _begun_with_camera(problem: FitProblem, observed: Sightings, unknowns: FloatArray) -> FloatArray:
+    """Return unknowns at which the days before another picture are met as well as those since."""
+    precision = prior_precision(problem.size, LOOSE_RADIAL_PX, LOOSE_DECENTERING_PX, n_unit=problem.n_unit)
+    for _ in range(_PASSES):
+        root = roots_of_worst_day(multistart.distance_sigmas(problem, observed, unknowns), observed)
+        left, columns = problem.linearised(unknowns, observed)
+        columns = columns * root[:, None, None]
+        products = np.einsum("nap,naq->pq", columns, columns, optimize=True) + np.diag(precision)
+        pull = np.einsum("nap,na->p", columns, left * root[:, None], optimize=True) - precision * unknowns
+        unknowns = unknowns + np.linalg.solve(products, pull)
+    return unknowns
 
 
 def _with_field(
@@ -371,7 +388,7 @@ def _with_proven(state: FitState) -> FitState:
     """
     problem, grid, system = state.problem, state.grid, state.system
     proven, log_weight, odds = proven_blocks(problem, field_sums(state.normal, grid), grid)
-    suspected = {name for name, one in odds.items() if suspects(one)} - {PIXELS}  # these are of the lens's prior
+    suspected = {name for name, one in odds.items() if suspects(name, one)} - {PIXELS}  # these are of the lens's prior
     kept, places = problem.only(POSSIBLE | proven | suspected)
     state = replace(state, problem=kept, unknowns=state.unknowns[places], block_odds=odds)
     estimated, places = kept.only(proven)

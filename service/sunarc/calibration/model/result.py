@@ -37,9 +37,13 @@ _PROOF_OF = {"air": STRONG_EVIDENCE, "sways": 40.0}
 """Other air is usual. An error common to hours is another turn on every day: up to 32 where no mount sways."""
 
 
-def suspects(log_odds: float) -> bool:
+_SUSPICION_OF = {"turning": 0.0}
+"""Masts that the sun warms on one side are usual."""
+
+
+def suspects(error: str, log_odds: float) -> bool:
     """Return whether such an error must be allowed for, see `proves`."""
-    return log_odds > _SUSPICION
+    return log_odds > _SUSPICION_OF.get(error, _SUSPICION)
 
 
 def probability(log_odds: float) -> float:
