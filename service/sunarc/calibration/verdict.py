@@ -15,7 +15,7 @@ from sunarc.calibration import acceptance
 from sunarc.calibration.acceptance import Succession
 from sunarc.calibration.answers.covariance import sky_share_within, without_clock
 from sunarc.calibration.model.options import CalibrationOptions
-from sunarc.calibration.model.result import Calibration, Verdict, proof_of, refused_for, with_finding
+from sunarc.calibration.model.result import TURN_ASKED, Calibration, Verdict, proof_of, refused_for, with_finding
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.quality import fit_checks as of
 from sunarc.calibration.quality import widening
@@ -145,6 +145,7 @@ NOTED = (
     FitCheck("focal_length_changes", of.change_of_focal_length),
     FitCheck("picture_changed", of.picture),
     FitCheck("mount_turns", of.turn_by_hour, Bound("log_odds", proof_of("turning")), "widen"),
+    FitCheck("mount_may_turn", of.possible_turn, Bound("log_odds", TURN_ASKED), "say"),
     FitCheck("mount_sways", of.sway, Bound("log_odds", proof_of("sways")), "widen"),
     FitCheck("pixels_on_grid", of.grid, Bound("step_px", 0.0)),
     *SITE_ASSUMED,

@@ -18,7 +18,7 @@ import numpy as np
 from sunarc.calibration.evidence import RECORD
 from sunarc.calibration.fit.marginal_likelihood import LOOSE_DECENTERING_PX, LOOSE_RADIAL_PX, prior_precision
 from sunarc.calibration.model.options import USUAL_OPTIONS
-from sunarc.calibration.model.result import STRONG_EVIDENCE
+from sunarc.calibration.model.result import STRONG_EVIDENCE, TURN_ASKED
 from sunarc.calibration.model.sightings import Kind, Sightings, grid_steps_px
 from sunarc.calibration.noise import lag_one, neighbours
 from sunarc.calibration.solve.priors import LENS, STRETCH, with_wide_pixels
@@ -94,7 +94,7 @@ class _View(NamedTuple):
     (n,): unit vectors away from the principal point, and the distance to it over that of the horizon. off (n, 2): px by
     which the sightings lie next to it. n_days: how many days. hours (n,): from the mean time of each day's
     sightings. day (n,): number of the day. by_unknowns (n, 2, p): px by the camera's unknowns, which
-    are at (p,) and have the prior precision (p,); of several days.
+    are at (p,) and have the prior precision (p,).
     """
 
     seen: Sightings
@@ -155,7 +155,8 @@ def _displacements(view: _View) -> Iterator[tuple[str, FloatArray]]:
         daily = [CLOCK_OFFSET_S * apart, CLOCK_DRIFT_S_PER_H * view.hours[:, None] * apart]
         yield "daily_clock", by_time * np.concatenate(daily, axis=-1)[:, None]
     yield PIXELS, view.stretch
-    yield TURNING, _by_hour(view)
+    if _seems_to_turn(view, by_hour := _by_hour(view)):
+        yield TURNING, by_hour
     if view.n_days > 1 and (before := _before_another_picture(view)) is not None:
         columns = np.concatenate([_by_picture(view), view.turned(_STEP_DEG)], axis=-1)
         yield PICTURE, columns * before[:, None, None]
@@ -173,6 +174,23 @@ def _by_hour(view: _View) -> FloatArray:
     share = view.hours * ~view.seen.night / _HOURS
     powers = share[:, None] ** np.arange(1, len(TURNING_POWERS) + 1) * TURNING_POWERS
     return (view.turned(TURNING_DEG)[..., None] * powers[:, None, None]).reshape(len(share), 2, -1)
+
+
+def _seems_to_turn(view: _View, by_hour: FloatArray) -> bool:
+    """Return whether displacements (n, 2, k) by the hour explain the sightings hardly worse than none, or better."""
+    distance = np.linalg.norm(view.off, axis=-1) * np.sqrt(view.seen.information)
+    root = counted_roots(distance, view.seen.information, floor=_NEGLIGIBLE_PX)
+    size = view.at.size
+    rows = np.concatenate([view.by_unknowns, by_hour, view.off[..., None]], axis=-1) * root[:, None, None]
+    flat = rows.reshape(-1, rows.shape[-1])
+    products = flat.T @ flat / _variance(view, rows[..., -1], root > 0.0)[0]
+    information = products[:-1, :-1] + np.diag(np.r_[view.precision, np.ones(by_hour.shape[-1])])
+    pull = products[:-1, -1] - np.r_[view.precision * view.at, np.zeros(by_hour.shape[-1])]
+    with_turns, without = (
+        0.5 * (pull[:k] @ np.linalg.solve(information[:k, :k], pull[:k]) - np.linalg.slogdet(information[:k, :k])[1])
+        for k in (len(pull), size)
+    )
+    return bool(with_turns - without > TURN_ASKED)
 
 
 def _by_picture(view: _View) -> FloatArray:
@@ -198,13 +216,15 @@ def _before_another_picture(view: _View) -> BoolArray | None:
         steps = _Steps(daily / variance, view.at, view.precision)
         both, step = steps.evidences(np.concatenate([picture, turn]))
         at = int(np.argmax(both))
+        if both[at] - steps.none < STRONG_EVIDENCE:
+            return None
         of_camera, of_step = rows[..., :n_camera] @ step[at][:n_camera], rows[..., n_camera:] @ step[at][n_camera:]
         left = view.off - of_camera - of_step * (view.day <= at)[:, None]
         variance, alike = _variance(view, left * root[:, None], root > 0.0)
-    alone, turned = steps.evidences(picture)[0], steps.evidences(turn)[0]
-    better = max(float(both[at]), float(alone[at])) - max(float(np.max(turned)), steps.none)
+    # both together always gain by the errors of the linear model
+    alone, turned = (float(np.max(steps.evidences(one)[0])) for one in (picture, turn))
     turn_deg = _STEP_DEG * float(np.linalg.norm(step[at][turn]))
-    if better < STRONG_EVIDENCE or alike > _MOST_ALIKE or turn_deg > _LARGEST_STEP_DEG:
+    if alone - max(turned, steps.none) < STRONG_EVIDENCE or alike > _MOST_ALIKE or turn_deg > _LARGEST_STEP_DEG:
         return None
     return np.asarray(view.day <= at)
 
@@ -292,7 +312,7 @@ def _variance(view: _View, left: FloatArray, counted: BoolArray) -> tuple[float,
     """Return the variance of what is left over (n, 2), larger where neighbours err alike, and by how much they do."""
     rho, error = lag_one(left, counted, neighbours(view.seen.unix_s, view.seen.day))
     alike = (1.0 + rho) / (1.0 - rho) if rho > 2.0 * error else 1.0
-    return float(np.mean(left[counted] ** 2)) * alike, rho
+    return max(float(np.mean(left[counted] ** 2)) * alike, _NEGLIGIBLE_PX**2), rho
 
 
 def _most_probable(products: FloatArray, pulls: FloatArray) -> FloatArray:
@@ -361,7 +381,7 @@ def _view(problem: FitProblem, unknowns: FloatArray, observed: Sightings) -> _Vi
         days.size,
         (times - (np.bincount(day, times) / np.bincount(day))[day]) / 3600.0,
         day,
-        problem.linearised(unknowns, observed)[1] if days.size > 1 else np.zeros((n, 2, 0)),
+        problem.linearised(unknowns, observed)[1],
         unknowns,
         prior_precision(unknowns.size, LOOSE_RADIAL_PX, LOOSE_DECENTERING_PX),
     )

@@ -472,6 +472,12 @@ def turn_by_hour(judged: JudgedFit) -> Data | None:
     return {"log_odds": odds, **dict(zip(("east_deg", "north_deg", "up_deg"), spread, strict=True))}
 
 
+def possible_turn(judged: JudgedFit) -> Data | None:
+    """Return the log odds of a mount that turns by the hour of the day, where they do not prove it."""
+    odds = judged.log_odds("turning")
+    return None if proves("turning", odds) else {"log_odds": odds}
+
+
 def grid(judged: JudgedFit) -> Data:
     """Return the step of the grid that the sun's pixels are on; 0 where they are on none."""
     return {"step_px": float(np.max(grid_steps_px(judged.usable.pixels[judged.usable.kind == Kind.SUN])))}
