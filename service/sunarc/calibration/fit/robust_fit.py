@@ -285,7 +285,7 @@ def _begun_with_camera(problem: FitProblem, observed: Sightings, unknowns: Float
     """Return unknowns at which the days before another picture are met as well as those since."""
     precision = prior_precision(problem.size, LOOSE_RADIAL_PX, LOOSE_DECENTERING_PX, n_unit=problem.n_unit)
     for _ in range(_PASSES):
-        root = roots_of_worst_day(multistart.distance_sigmas(problem, observed, unknowns), observed)
+        root = roots_of_worst_day(distance_sigmas(problem, observed, unknowns), observed)
         left, columns = problem.linearised(unknowns, observed)
         columns = columns * root[:, None, None]
         products = np.einsum("nap,naq->pq", columns, columns, optimize=True) + np.diag(precision)
