@@ -72,8 +72,8 @@ class CellGrid:
 
     camera: Camera
     """Lens and pose."""
-    directions: Cells
-    """(rows, columns, 3) unit vectors of their centres, east-north-up; NaN outside the camera's field."""
+    in_field: BoolArray
+    """(rows, columns) whether they lie within the camera's field."""
     sky: BoolArray
     """(rows, columns) whether they lie above the astronomical horizon."""
     inner: BoolArray
@@ -81,7 +81,8 @@ class CellGrid:
     area_deg2: Cells
     """(rows, columns) solid angles, square degrees."""
     basis: Cells
-    """(6, rows, columns) terms of the sky's light that do not depend on the sun."""
+    """(5, rows, columns) terms of the sky's light that do not depend on the sun: first the direction of the centre, a
+    unit vector east-north-up, 0 outside the field."""
     sampled: NDArray[np.int64]
     """Cells (indices) that the sky's light is fitted to."""
 
@@ -96,9 +97,14 @@ class CellGrid:
         return self.sky.shape[0], self.sky.shape[1]
 
     @property
+    def directions(self) -> Cells:
+        """(rows, columns, 3) unit vectors of their centres, east-north-up; NaN outside the camera's field."""
+        return np.where(self.in_field[..., None], np.moveaxis(self.basis[:3], 0, -1), np.float32(np.nan))
+
+    @property
     def resolution_deg(self) -> float:
         """Size of a cell near the horizon, degrees."""
-        low = self.sky & (self.directions[..., 2] < math.sin(math.radians(30.0)))
+        low = self.sky & (self.basis[2] < math.sin(math.radians(30.0)))
         return math.sqrt(float(np.median(self.area_deg2[low]))) if low.any() else 1.0
 
 
@@ -113,11 +119,11 @@ def cell_grid(camera: Camera) -> CellGrid:
     sky = np.asarray(up > 0.0)
     right, down = (np.gradient(found, axis=axis) for axis in (1, 0))
     area = np.linalg.norm(np.cross(right, down), axis=-1) * np.degrees(1.0) ** 2
-    basis = np.stack([np.ones_like(up), east, north, up, up**2, np.exp(-6.0 * np.abs(up))])
+    basis = np.stack([east, north, up, up**2, np.exp(-6.0 * np.abs(up))])
     cells = np.flatnonzero(up > 0.03)
     return CellGrid(
         camera=camera,
-        directions=found,
+        in_field=np.isfinite(found[..., 2]),
         sky=sky,
         inner=cv2.erode(sky.astype(np.uint8), np.ones((9, 9), np.uint8), borderValue=0).astype(bool),
         area_deg2=np.where(sky, np.nan_to_num(area), 0.0).astype(np.float32),
@@ -290,7 +296,7 @@ def _fine(light: Cells, counts: Cells) -> Cells:
 
 def _is_other_scene(texture: Cells, sums: ObstructionSums, grid: CellGrid) -> bool:
     """Return whether an image's texture is not the stored one, where that is known and seen."""
-    strong = (np.abs(sums.texture) > 2.0 * _STATIC) & (grid.basis[3] > math.sin(math.radians(_RIM_DEG)))
+    strong = (np.abs(sums.texture) > 2.0 * _STATIC) & (grid.basis[2] > math.sin(math.radians(_RIM_DEG)))
     if sums.votes < 0.25 * _STATIC_VOTES or np.count_nonzero(strong) < 200:
         return False
     now, stored = texture[strong], sums.texture[strong]
@@ -304,7 +310,7 @@ def _voted(
     sums: ObstructionSums, image: _CellImage, grid: CellGrid, *, sun: FloatArray, vote: float, sun_seen: bool | None
 ) -> ObstructionSums:
     """Return the evidence with the votes of a usable image."""
-    towards = _weighted(sun, grid.basis[1:4])
+    towards = _weighted(sun, grid.basis[:3])
     sky, spread = _sky_light(image.light, sums, grid, towards)
     contrast = np.clip(image.light - sky, -2.0, 2.0)
     seen = sun_seen if sun_seen is not None else _sun_is_seen(image, grid, towards)
@@ -348,7 +354,7 @@ def _sky_light(light: Cells, sums: ObstructionSums, grid: CellGrid, towards: Cel
     """Return the log brightness of a smooth sky, fitted to cells that are not dark, and the spread about it."""
     of_sun = [towards * towards, np.float32(1.0) / (np.float32(1.1) - towards)]
     picked = [one.ravel()[grid.sampled] for one in (*grid.basis, *of_sun)]
-    rows = np.stack(picked, axis=-1).astype(np.float64)
+    rows = np.stack([np.ones_like(picked[0]), *picked], axis=-1).astype(np.float64)
     values = light.ravel()[grid.sampled].astype(np.float64)
     up = rows[:, 3]
     free = 1.0 / (1.0 + np.exp(np.clip(sums.log_odds.ravel()[grid.sampled], -4.0, 4.0)))
@@ -360,7 +366,7 @@ def _sky_light(light: Cells, sums: ObstructionSums, grid: CellGrid, towards: Cel
         terms = np.linalg.solve(weighted.T @ rows + ridge + 1e-9 * np.eye(8), weighted.T @ values)
         residual = values - rows @ terms
         weight = prior * (0.2 + up) / (1.0 + (residual / np.where(residual < 0.0, 0.25, 0.5)) ** 2)
-    sky = _weighted(np.asarray(terms[:6], dtype=np.float64), grid.basis)
+    sky = _weighted(np.asarray(terms[1:6], dtype=np.float64), grid.basis) + np.float32(terms[0])
     for term, plane in zip(terms[6:].tolist(), of_sun, strict=True):
         sky += np.float32(term) * plane
     high = (up > 0.17) & (prior > 0.3)
