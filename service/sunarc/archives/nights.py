@@ -12,7 +12,7 @@ import numpy as np
 from sunarc.archives.passes import Looked, Work, epoch_at
 from sunarc.archives.states import Epoch, State
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.common.array_types import Image
+from sunarc.common.array_types import BoolArray, Image
 from sunarc.common.findings import Finding, joined
 from sunarc.detection.stars.detect import detect_stars
 from sunarc.detection.stars.warm_pixels import WarmPixelMap
@@ -20,11 +20,13 @@ from sunarc.imager.live.file_frames import frame_of
 from sunarc.sky.night import body_directions
 from sunarc.sources.image_files import images_in
 from sunarc.sources.index import ArchiveImage, CameraImages, by_night, evenly
-from sunarc.sources.look import Answer, Chunk, Item, NamedStars, StarNaming, key_of
+from sunarc.sources.look import Answer, Chunk, Item, NamedStars, PackedMask, StarNaming, key_of
 from sunarc.sources.sources import open_source
 from sunarc.stars.views import MatchedView, StarView, match_views, star_view, surest_named
 
 _DIGITS = 4
+_EDGE_PX = 4
+"""Distance from the edge of the horizon within which detections are parts of it."""
 
 
 class CameraNight(NamedTuple):
@@ -39,7 +41,7 @@ class CameraNight(NamedTuple):
         """Hash of all values that the names rest on: of a night all images are read again, or no image."""
         calibration, camera = self.naming.calibration, self.naming.calibration.camera
         model = (camera, calibration.covariance.tobytes(), self.naming.site, self.naming.clock_offset_s)
-        return key_of((model, self.images))
+        return key_of((model, self.images, self.naming.hidden))
 
 
 class CameraNights(NamedTuple):
@@ -98,11 +100,18 @@ class NightsLooked(NamedTuple):
                 yield ImageWithStars(night, image, one)
 
 
-def nights_of(camera: CameraImages, states: Sequence[State], epochs: Sequence[Epoch]) -> CameraNights:
+def nights_of(
+    camera: CameraImages, states: Sequence[State], epochs: Sequence[Epoch], hidden: Sequence[PackedMask | None] = ()
+) -> CameraNights:
     """Return the nights of a camera, each with the calibration of its epoch, and 60 of its images at most.
 
     Images between the last sighting of an epoch and the first of the next are left out: which pose they were taken in
     is not known. Without an epoch all are.
+
+    Parameters
+    ----------
+    camera, states, epochs : the images, and when each state held.
+    hidden : the parts of the image that show no sky in each epoch; empty where these are not known.
     """
     nights, left_out = list[CameraNight](), list[ArchiveImage]()
     for _, every in by_night(camera.nights, longitude=camera.plan.site.longitude):
@@ -112,7 +121,8 @@ def nights_of(camera: CameraImages, states: Sequence[State], epochs: Sequence[Ep
             left_out += every
             continue
         state = states[epochs[number].state]
-        naming = StarNaming(state.calibration, camera.plan.site, state.clock_offset_s)
+        mask = hidden[number] if hidden else None
+        naming = StarNaming(state.calibration, camera.plan.site, state.clock_offset_s, mask)
         nights += [CameraNight(naming, tuple(evenly(part)), number) for part in _by_source(every)]
     return CameraNights(camera, tuple(nights), tuple(left_out))
 
@@ -160,8 +170,15 @@ def _view(image: Image, item: Item, naming: StarNaming, warm: WarmPixelMap) -> S
     """Return the detections of an image, and the stars that are predicted at the time that its clock truly meant."""
     unix_s = item.unix_s - naming.clock_offset_s
     frame = frame_of(image, unix_s, item.exposure_us, item.number)
-    stars = detect_stars(warm.repair(frame, None), full_scale=frame.full_scale)
+    mask = None if naming.hidden is None else _hidden_pixels(naming.hidden, image)
+    stars = detect_stars(warm.repair(frame, None), full_scale=frame.full_scale, mask=mask)
     return star_view(stars, unix_s, site=naming.site, calibration=naming.calibration)
+
+
+def _hidden_pixels(hidden: PackedMask, image: Image) -> BoolArray:
+    """Return the pixels (rows, columns) that show no sky, and those at their edges: bright points of an outline."""
+    whole = cv2.resize(hidden.unpacked().astype(np.uint8), image.shape[1::-1], interpolation=cv2.INTER_NEAREST)
+    return cv2.dilate(whole, np.ones((2 * _EDGE_PX + 1,) * 2, dtype=np.uint8)).astype(np.bool_)
 
 
 def _rows(view: StarView, found: MatchedView, size: tuple[int, int]) -> NamedStars:

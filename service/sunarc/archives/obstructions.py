@@ -21,6 +21,7 @@ from sunarc.imaging.horizon import HorizonProfile
 from sunarc.imaging.obstructions import FREE, HIDDEN, UNKNOWN, CellGrid
 from sunarc.public.mask_files import horizon_csv, mask_of_images, mask_png
 from sunarc.sources.image_files import image_of
+from sunarc.sources.look import PackedMask, pack_mask
 from sunarc.sources.sources import open_source
 
 _MOST_IMAGES = 240
@@ -57,6 +58,14 @@ class EpochObstructions(NamedTuple):
     hidden: int
     missing: str | None
     picture: bytes
+
+    def no_sky(self) -> PackedMask | None:
+        """Return the parts of the image that show no sky; None where the mask is missing."""
+        png = self.files.get("png")
+        if png is None:
+            return None
+        mask = cv2.imdecode(np.frombuffer(png, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+        return None if mask is None else pack_mask(np.asarray(mask) == HIDDEN)
 
 
 def images_of_epochs(looked: Looked, final: Final, size: tuple[int, int]) -> list[EpochImages]:

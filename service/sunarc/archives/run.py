@@ -153,7 +153,7 @@ def _results(
     fitted = ledger.each(each, final_analysis, [again[n] for n in fewer], names=[f"{names[n]}, fewer" for n in fewer])
     final |= dict(zip(fewer, fitted, strict=True))
     passes.progress("calibrations", len(found), len(found))
-    nights = _nights(cameras, final, passes)
+    nights = _nights(cameras, final, _no_sky(cameras, looked, final, passes, ledger), passes)
     final |= _with_stars(nights, final, again, passes, ledger)
     final = {n: None if one is None else one.with_calibrations() for n, one in final.items()}
     obstructions = _obstructions(cameras, looked, final, passes, ledger)
@@ -207,12 +207,32 @@ def _kept_provisional(result: CameraResult) -> CameraResult:
     return result if final is None else replace(result, final=kept_provisional(final, _known(result.camera)))
 
 
-def _nights(cameras: Sequence[CameraImages], final: Mapping[int, Final | None], passes: Passes) -> list[NightsLooked]:
+def _no_sky(
+    cameras: Sequence[CameraImages],
+    looked: Mapping[int, Looked],
+    final: Mapping[int, Final | None],
+    passes: Passes,
+    ledger: Ledger,
+) -> dict[int, list[PackedMask | None]]:
+    """Return the parts of the images that show no sky in each epoch of the cameras that have suns and nights."""
+    sunny = {n: one for n, one in final.items() if one is not None and one.epochs == one.with_calibrations().epochs}
+    starry = {n: one for n, one in sunny.items() if cameras[n].nights}
+    found = _obstructions(cameras, looked, starry, passes, ledger, title=", before its stars")
+    return {number: [one.no_sky() for one in of_epochs] for number, of_epochs in found.items()}
+
+
+def _nights(
+    cameras: Sequence[CameraImages],
+    final: Mapping[int, Final | None],
+    hidden: Mapping[int, Sequence[PackedMask | None]],
+    passes: Passes,
+) -> list[NightsLooked]:
     """Return the nights of each camera, with the stars that are named in their images."""
     every = []
     for number, camera in enumerate(cameras):
         one = final.get(number)
-        every.append(nights_of(camera, () if one is None else one.states, () if one is None else one.epochs))
+        states, epochs = ((), ()) if one is None else (one.states, one.epochs)
+        every.append(nights_of(camera, states, epochs, hidden.get(number, ())))
     named = passes.name([one.work() for one in every], run=name_stars)
     return [NightsLooked(one, looked) for one, looked in zip(every, named, strict=True)]
 
@@ -291,6 +311,8 @@ def _obstructions(
     final: Mapping[int, Final | None],
     passes: Passes,
     ledger: Ledger,
+    *,
+    title: str = "",
 ) -> dict[int, tuple[EpochObstructions, ...]]:
     """Return mask and horizon of each epoch of the cameras, by number, or that the worker that made them died."""
     found = {}
@@ -298,7 +320,7 @@ def _obstructions(
         if one is None:
             continue
         given = images_of_epochs(looked[number], one, cameras[number].size)
-        names = [f"{cameras[number].plan.name} {epoch}" for epoch in range(len(given))]
+        names = [f"{cameras[number].plan.name} {epoch}{title}" for epoch in range(len(given))]
         made = ledger.each(passes.cluster.each, epoch_obstructions, given, names=names)
         found[number] = tuple(each or EpochObstructions({}, 0, 0, "the worker that made it died", b"") for each in made)
     return found

@@ -75,11 +75,12 @@ class Item(NamedTuple):
 
 
 class StarNaming(NamedTuple):
-    """Names of stars in images of a night: a calibration, the site, how far the clock was ahead."""
+    """Names of stars in images of a night: a calibration, the site, how far the clock was ahead, what shows no sky."""
 
     calibration: Calibration
     site: Site
     clock_offset_s: float
+    hidden: PackedMask | None = None
 
 
 class NamedStars(NamedTuple):

@@ -30,7 +30,7 @@ from sunarc.optics.forward import project
 from sunarc.sky.night import STAR, body_directions
 from sunarc.sky.sun import sun_directions
 from sunarc.sources.index import ArchiveImage, CameraImages, CameraPlan, Selector
-from sunarc.sources.look import Chunk, NamedStars
+from sunarc.sources.look import Chunk, NamedStars, pack_mask
 from sunarc.stars.views import star_view
 
 TIMES = ("20260313_060000", "20260313_064000", "20260313_072000")
@@ -129,6 +129,17 @@ def test_a_night_is_looked_at_once_and_as_a_whole_when_something_changed(folder:
     assert len(chunk.items) == 5
     (chunk,) = looked(nights_of(camera_in(folder, *TIMES), (STATE,), ONE), folder)[1]  # other images beside it
     assert len(chunk.items) == 3
+
+
+def test_no_star_is_sought_where_the_image_shows_no_sky_nor_at_its_edge(folder: Path, tmp_path: Path) -> None:
+    hidden = np.zeros((SIZE, SIZE), dtype=bool)
+    hidden[:, : SIZE // 3] = True
+    nights = nights_of(camera_in(folder, *TIMES), (STATE,), ONE, [pack_mask(hidden)])
+    points = star_points(looked(nights, tmp_path)[0], (STATE,), ONE)
+    assert points is not None
+    assert len(points) > 30
+    assert np.min(points.pixels[:, 0]) > SIZE // 3 + 3.0
+    assert nights.nights[0].key != nights_of(camera_in(folder, *TIMES), (STATE,), ONE).nights[0].key
 
 
 def test_an_image_that_a_detector_fails_on_leaves_the_others(
