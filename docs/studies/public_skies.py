@@ -86,7 +86,8 @@ SUNS = {
 }
 """Folders of pictures of the day and, of indi-allsky, of the night: no sun is in them."""
 _LABEL = re.compile(r"sunrow(\d+)_suncol(\d+)")
-_RIGHT_PX, _RIGHT_TILT_DEG = 3.0, 0.3
+_LABEL_PX, _RIGHT_SIGMAS, _RIGHT_TILT_DEG = 2.0, 2.5, 0.3
+"""1-sigma of a label by hand; distance from it in sigmas, and tilt from others', up to which a place is right."""
 
 
 def night_row(night: Night, folder: Path, work: Path) -> tuple[str, StarImage | None]:
@@ -132,11 +133,12 @@ def sun_row(name: str, folder: Path, into: Path | None) -> str:
             if label is not None:
                 row, column = map(int, label.groups())
                 labelled += 1
-                right += math.hypot(one.x_px - column, one.y_px - row) < _RIGHT_PX
+                limit = _RIGHT_SIGMAS * math.hypot(one.sigma_px or 0.0, _LABEL_PX)
+                right += math.hypot(one.x_px - column, one.y_px - row) < limit
     if into is not None and found:
         path, one = found[len(found) // 2]
         _overlay(path, np.array([[one.x_px, one.y_px]], dtype=np.float64), into / f"{name.replace(' ', '-')}.png")
-    judged = f"{right} of {labelled} within {_RIGHT_PX:g} px" if labelled else ""
+    judged = f"{right} of {labelled} within {_RIGHT_SIGMAS:g} sigma" if labelled else ""
     return f"{name:32s} {read:4d} of {len(files):<3d} {accepted:5d} suns   {judged}"
 
 

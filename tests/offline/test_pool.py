@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import signal
 from collections.abc import Callable
 from pathlib import Path
@@ -78,3 +79,17 @@ def test_an_interrupt_is_for_the_run_and_not_for_its_processes(tmp_path: Path) -
         assert isinstance(found, Finding)
         assert str(int(signal.SIGINT)) in str(found.data["signals"]).split()
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
+
+
+def faults_of_a_second_image() -> int:
+    """Return how many pages a process has mapped anew for arrays as large as those that it has freed."""
+    _ = [np.ones(2_500_000) for _ in range(5)]
+    del _
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    _ = [np.ones(2_500_000) for _ in range(5)]
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+
+
+def test_a_process_keeps_the_memory_of_an_image_for_the_next_one() -> None:
+    with pool._pool(1) as process:
+        assert process.submit(faults_of_a_second_image).result(timeout=60.0) < 500

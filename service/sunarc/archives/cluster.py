@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, Self, TypeVar, cast
 from sunarc.common.errors import OutsideError
 from sunarc.common.extras import extra_module
 from sunarc.common.findings import Finding
+from sunarc.imager.runtime.child_process import keep_freed_memory
 from sunarc.imager.runtime.clock import Clock
 from sunarc.sources.look import Answer, Chunk, Done, look_at
 
@@ -238,6 +239,7 @@ def open_cluster(workers: Workers, *, clock: Clock) -> Iterator[Cluster]:
             ) as local,
             distributed.Client(local, set_as_default=False) as client,
         ):
+            client.register_worker_callbacks(setup=keep_freed_memory)  # also of workers that are started anew
             yield Cluster(workers, clock, client)
 
 

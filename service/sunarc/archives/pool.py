@@ -16,7 +16,7 @@ from typing import TypeVar
 import cv2
 
 from sunarc.common.findings import Finding
-from sunarc.imager.runtime.child_process import one_thread_each
+from sunarc.imager.runtime.child_process import keep_freed_memory, one_thread_each
 from sunarc.sources.look import Answer, Chunk, Done, look_at
 
 Run = Callable[[Chunk], list[Answer]]
@@ -108,8 +108,9 @@ def _pool(processes: int) -> ProcessPoolExecutor:
 
 
 def _begin() -> None:
-    """Prepare a process: one thread for images, and an end when the run has died."""
+    """Prepare a process: one thread for images, memory that is kept for the next one, an end when the run has died."""
     cv2.setNumThreads(1)
+    keep_freed_memory()
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 

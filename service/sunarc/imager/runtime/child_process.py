@@ -50,7 +50,8 @@ def keep_freed_memory() -> None:
     """Have glibc keep the blocks below 32 MB that this process frees, for its next allocations.
 
     A fit asks for some MB thousands of times. With the unit's setting, by which the service gives back what its frames
-    needed, every MB would be mapped and cleared anew: a third of the time of a fit of ten days.
+    needed, every MB would be mapped and cleared anew: a third of the time of a fit of ten days. Images of an archive
+    cost 3,400 page faults each, and 50 with it.
     """
     with suppress(AttributeError):  # another C library
         ctypes.CDLL(None).mallopt(_TRIM_THRESHOLD, _KEPT_BYTES)
