@@ -35,8 +35,8 @@ _CERTAINLY_NOT = 100.0
 
 _PROOF_OF = {"air": STRONG_EVIDENCE, "sways": 40.0}
 """Other air is usual. An error common to hours is another turn on every day: up to 32 where no mount sways."""
-_SUSPICION_OF = {"turning": 0.0}
-"""Masts that the sun warms on one side are usual."""
+_SUSPICION_OF = {"turning": 1.5}
+"""Masts that the sun warms on one side are usual; noise that is alike for hours reaches 1.3."""
 TURN_ASKED = -2.0
 """Log odds from which on a verdict says that the mount may turn within the day: seven to one against it."""
 
