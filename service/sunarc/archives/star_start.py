@@ -53,7 +53,7 @@ def first_by_stars(given: CameraNightImages) -> Rough:
     camera is sought in it without a start. Nights without stars belong to no state.
     """
     cv2.setNumThreads(1)
-    found = _Search(given)
+    found = _StarSearch(given)
     held = [(night, number) for night in found.nights if (number := found.state_of(night)) is not None]
     if not held:
         at_night = all_at_night(given.images, given.camera.site)
@@ -66,7 +66,7 @@ def first_by_stars(given: CameraNightImages) -> Rough:
     return Rough(tuple(states), tuple(epochs), doubts(states[0].calibration, asked))
 
 
-class _Search:
+class _StarSearch:
     """The search for the state of each night.
 
     Attributes

@@ -120,7 +120,7 @@ def allowed_level(
     sigma : px, the noise.
     field_px : 1-sigma of the displacement outside the lens, by the data: the camera may miss them by `FIELD_EXCESS`
         times as much, `LENS_MISFIT_PX` of it counted at most.
-    weight : what a px counts in the distances: beside 5,000 stars of 0.2 px a sun of 0.03 px counts six times, and so
+    weight : what a px counts in the distances: among 5,000 stars of 0.2 px a sun of 0.03 px counts six times, and so
         does what a field moves it by.
     cost_ratio, median_ratio : by how much cost and median may be larger without a field.
     """
@@ -426,7 +426,7 @@ def proven_blocks(
     return proven, log_weight, odds
 
 
-# How much of the noise of each star the fit has taken up: beside a field the residuals of 150 stars are too small.
+# How much of the noise of each star the fit has taken up: with a field the residuals of 150 stars are too small.
 
 _LARGEST = 0.8
 """Of a star that stands alone; beyond it the residual says nothing of the noise."""

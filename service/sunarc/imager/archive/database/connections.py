@@ -120,9 +120,9 @@ ONE_CAMERA = "sunarc_camera"
 _ARCHIVE_LOCK = 0x73756E  # of this database; any number that no other application of it takes
 _LOCK_TIMEOUT_MS = 30_000  # as long as SQLite waits
 _DISK_FULL = "53100"
+"""SQLSTATE (PostgreSQL, appendix A)."""
 _ROOM_BYTES = 1_000_000
 """A disk with less is full: SQLite asks for megabytes of temporary files at once."""
-"""SQLSTATE (PostgreSQL, appendix A)."""
 _OF_THE_SERVER = ("08", "25", "28", "3D", "40", "53", "55", "57", "58", "F0", "XX")
 """Classes of SQLSTATE that say nothing of the row: connection, state of the transaction, authorisation, serialization,
 resources, locks, operators, system, configuration, and faults of PostgreSQL's own."""

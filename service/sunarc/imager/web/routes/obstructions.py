@@ -26,7 +26,7 @@ from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_directions
 
 
-class SunPath(BaseModel):
+class HorizonSunPath(BaseModel):
     """The way of the sun over one day, where it is up."""
 
     name: str = Field(description="Month of the day, its 21st.", examples=["Jun"])
@@ -56,7 +56,7 @@ class Horizon(BaseModel):
     openings_deg: list[list[tuple[float, float]]] = Field(
         description="Spans of elevation below it through which the sky is seen.", examples=[[[], [[1.0, 2.5]]]]
     )
-    sun_paths: list[SunPath] = Field(description="Of the solstices and an equinox.")
+    sun_paths: list[HorizonSunPath] = Field(description="Of the solstices and an equinox.")
     sun_h: list[float] = Field(description="Hours with the sun up, of each month of the mask's year.", examples=[[300]])
     lost_h: list[float] = Field(description="Those of them with the sun behind the horizon.", examples=[[12.5]])
     drawn: DrawnMask | None = Field(description="Of a drawn mask; null without one, or where it cannot be read.")
@@ -134,12 +134,12 @@ def _drawn(context: ApiContext, mask: ObstructionMask) -> DrawnMask | None:
     return DrawnMask(**{name: round(value, 3) for name, value in compared._asdict().items()})
 
 
-def _sun_path(year: int, month: int, site: Site) -> SunPath:
+def _sun_path(year: int, month: int, site: Site) -> HorizonSunPath:
     day = datetime(year, month, 21, tzinfo=UTC)
     begins, ends = day_bounds_unix_s(day.date(), longitude=site.longitude)
     zenith, azimuth = angles_from_direction(sun_directions(np.arange(begins, ends, _EVERY_S), site))
     up = zenith < 90.0
-    return SunPath(
+    return HorizonSunPath(
         name=f"{day:%b}",
         azimuth_deg=[round(one, 1) for one in (azimuth[up] % 360.0).tolist()],
         elevation_deg=[round(90.0 - one, 1) for one in zenith[up].tolist()],
