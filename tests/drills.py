@@ -44,7 +44,7 @@ from sunarc.imager.runtime.status import (
 from sunarc.imager.web.app import create_app
 from sunarc.imager.web.options import ApiOptions
 from sunarc.imager.workers.calibrating.moves import MoveConditions
-from sunarc.imager.workers.clock_watch import cost_of_clock
+from sunarc.imager.workers.clock_watch import clock_cost_text
 from sunarc.imager.workers.night.images import night_picture, store_picture
 from sunarc.lab.simulation.made_archive import encoded, photograph
 from sunarc.lab.simulation.options import Bump
@@ -139,7 +139,7 @@ def clock(stage: Stage) -> None:
     ready(stage)
     stage.board.note(clock=ClockStatus(synchronised=False, max_error_s=16.0))
     stage.board.set_condition(
-        "clock_unsynchronised", condition("clock_unsynchronised", clock="host", cost=cost_of_clock(0.006))
+        "clock_unsynchronised", condition("clock_unsynchronised", clock="host", cost=clock_cost_text(0.006))
     )
 
 

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import pytest
 from annotated_types import Ge, Gt, Le, Lt
 
-from sunarc.common.bounds import bounds_of, bounds_text, require_bounds
+from sunarc.common.bounds import bounds_text, declared_bounds, require_bounds
 from sunarc.common.errors import InputError
 
 
@@ -68,8 +68,8 @@ def test_what_is_beyond_them_is_refused_with_its_path_and_what_is_allowed(
 
 
 def test_fields_without_bounds_are_not_listed() -> None:
-    assert sorted(bounds_of(Options)) == ["attempts", "cadence_s", "exposures_us", "share", "transport"]
-    assert re.findall(r"\d+", bounds_text(bounds_of(Options)["share"])) == ["0", "1"]
+    assert sorted(declared_bounds(Options)) == ["attempts", "cadence_s", "exposures_us", "share", "transport"]
+    assert re.findall(r"\d+", bounds_text(declared_bounds(Options)["share"])) == ["0", "1"]
     assert "finite" in bounds_text(())
 
 

@@ -13,7 +13,7 @@ from tests.fixtures.calibration import observed, small_camera, small_problem, sp
 
 from sunarc import _kernels
 from sunarc.calibration.model.options import PaperOptions
-from sunarc.calibration.paper import penalties_of
+from sunarc.calibration.paper import make_penalties
 from sunarc.optics.forward import kernel_optics, project
 from sunarc.optics.inverse import unproject
 from sunarc.optics.inverse_table import inverse_table
@@ -137,7 +137,7 @@ CALLS: dict[str, dict[str, Any]] = {
         "smallest": 1e-6,
     },
     "paper_fit": _FIT
-    | penalties_of(CAMERA.projection, PaperOptions())._asdict()
+    | make_penalties(CAMERA.projection, PaperOptions())._asdict()
     | {
         "information": np.ones(N),
         "start": CAMERA.at_every_angle().to_vector(),

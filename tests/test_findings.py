@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from sunarc.common import messages
-from sunarc.common.findings import Finding, findings_of, from_json, uncoded
-from sunarc.common.messages import all_messages, counted, filled, message_of, significant
+from sunarc.common.findings import Finding, from_json, parse_findings, uncoded
+from sunarc.common.messages import all_messages, counted, filled, find_message, significant
 
 HOT = '[common_room.too_hot]\ntext = "{what}:{value:.1f}>{limit:g}"\nmeaning = "Hot."\naction = "cool {what}"\n'
 
@@ -28,7 +28,7 @@ def houses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 def forget() -> None:
-    for kept in (messages._houses, messages._messages_of):
+    for kept in (messages._houses, messages._load_messages):
         kept.cache_clear()
 
 
@@ -39,7 +39,7 @@ def test_a_house_has_messages_where_it_is_installed_and_is_read_when_it_is_neede
     assert [code for code, _ in all_messages()] == ["too_hot"]
     house.joinpath("messages.toml").write_text("no table of messages")
     forget()
-    assert message_of("too_hot") is not None
+    assert find_message("too_hot") is not None
     house.joinpath("messages.toml").write_text(HOT.replace("too_hot", "too_cold").replace("common_room", "dome"))
     assert [(code, one.room) for code, one in all_messages()] == [
         ("too_hot", "common_room"), ("too_cold", "observatory/dome")
@@ -96,6 +96,6 @@ def test_json_keeps_numbers_and_words_and_writes_null_for_what_is_not_finite() -
 
 
 def test_sentences_of_version_0_2_become_findings_without_a_code() -> None:
-    assert findings_of({"reasons": ["it fits"]}) == (uncoded("it fits"),)
-    assert findings_of({"reasons": ["it fits"], "findings": [{"code": "mirrored"}]}) == (Finding("mirrored"),)
+    assert parse_findings({"reasons": ["it fits"]}) == (uncoded("it fits"),)
+    assert parse_findings({"reasons": ["it fits"], "findings": [{"code": "mirrored"}]}) == (Finding("mirrored"),)
     assert uncoded("it fits").text == "it fits"

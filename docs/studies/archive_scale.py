@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 from sunarc.archives.cluster import Workers, open_cluster
 from sunarc.archives.ledger import ImageId, Known, Ledger
-from sunarc.archives.passes import CHUNK, chunks_of
+from sunarc.archives.passes import CHUNK, make_chunks
 from sunarc.imager.runtime.clock import SystemClock
 from sunarc.lab.simulation.made_archive import FOUR_CAMERAS, MadeArchive, write_archive
 from sunarc.lab.simulation.truth import SGP
@@ -209,7 +209,7 @@ def made_chunks(folder: Path, n: int) -> list[Chunk]:
     made = MadeArchive(cameras=FOUR_CAMERAS[3:], days=6, per_day=CHUNK, broken=0)
     common = CameraPlan(name="all", site=SGP, selector=Selector(()))
     (camera,) = index_archive(read_cameras(write_archive(made, folder), common=common)).cameras
-    chunks = chunks_of(camera, [(one, Item(one.file, one.number, None)) for one in camera.images], None)
+    chunks = make_chunks(camera, [(one, Item(one.file, one.number, None)) for one in camera.images], None)
     return [chunks[number % len(chunks)] for number in range(n)]
 
 

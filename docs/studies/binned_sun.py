@@ -21,7 +21,7 @@ from sunarc.common.array_types import Image
 from sunarc.detection.disc.detect import detect_sun
 from sunarc.imager.cameras.frame import CameraInfo, Frame
 from sunarc.imager.workers.exposures import SunExposures
-from sunarc.imager.workers.options import SensorOptions, sensor_of
+from sunarc.imager.workers.options import SensorOptions, frame_sensor
 from sunarc.imaging.exposure import SunExposureOptions
 from sunarc.lab.simulation.options import SceneOptions, SensorModel
 from sunarc.lab.simulation.scene import Scene
@@ -74,7 +74,7 @@ def live(binning: int, *, every_s: float) -> Day:
                 time=datetime.fromtimestamp(middle_s, UTC), exposure_us=exposure_us, gain_db=0.0, pixel_format="Mono12",
                 full_scale=FULL_SCALE, frame_id=1, binning=binning,
             )  # fmt: skip
-            sensor = sensor_of(frame, SensorOptions(black_level_fraction=0.0078))
+            sensor = frame_sensor(frame, SensorOptions(black_level_fraction=0.0078))
             seen = detect_sun(frame.image, sensor=sensor, exposure_us=exposure_us)
             control.report(frame, seen)
             if seen.accepted and seen.x_px is not None and seen.y_px is not None:

@@ -27,7 +27,7 @@ from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.pose_change import PoseChange
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.changes.online import details_of, update_window
+from sunarc.changes.online import change_details, update_window
 from sunarc.changes.values import Sighting, SightingWindow, WatchOptions
 from sunarc.lab.simulation.truth import SGP, true_camera
 from sunarc.optics.camera import Camera
@@ -99,7 +99,7 @@ def false_alarms(days: int, calibration: Calibration, cadence_s: float) -> None:
         total += times.size
         watch, _, change = looked(watch, calibration, times, pixels)
         if change is not None:
-            found.append((day, change.cause, details_of(change)["text"]))
+            found.append((day, change.cause, change_details(change)["text"]))
             watch = SightingWindow()
     print(f"{days} days, {total} sightings: {len(found)} false alarms {found}")
 
@@ -118,7 +118,7 @@ def clouded(days: int, calibration: Calibration, cadence_s: float) -> int:
         total += times.size
         watch, number, change = looked(watch, calibration, times, pixels)
         if change is not None:
-            found.append((day, number, change.cause, details_of(change)["text"]))
+            found.append((day, number, change.cause, change_details(change)["text"]))
             watch = SightingWindow()
     print(f"{days} days with cloud, a sighting every {cadence_s:g} s, {total}: {len(found)} false alarms", flush=True)
     for one in found:

@@ -36,7 +36,7 @@ from tests.fleet.hub_process import processor_s
 from tests.fleet.scale import fill
 
 from sunarc.archives.ledger import Known, Ledger
-from sunarc.archives.passes import CHUNK, chunks_of, id_of
+from sunarc.archives.passes import CHUNK, make_chunks, make_image_id
 from sunarc.calibration.answers.direction_table import lookup
 from sunarc.calibration.calibrate import calibrate
 from sunarc.common.findings import Finding
@@ -209,12 +209,12 @@ def images(size: int) -> Cost:
         plan = CameraPlan(name="roof", site=SGP, selector=Selector((folder,)), rules=rules)
         yield "listed", size, processor_of(lambda: index_folder(plan), once=True)
         camera, _ = index_folder(plan)
-        rows = [(id_of(one), Known("key", Finding("no_sun"), one.stamp, "content")) for one in camera.images]
+        rows = [(make_image_id(one), Known("key", Finding("no_sun"), one.stamp, "content")) for one in camera.images]
         with Ledger(f"sqlite:///{folder}/ledger.sqlite") as ledger:
             yield "answers kept and read", size, processor_of(lambda: kept(ledger, rows), once=True)
         if size <= _MOST_SEARCHED:
             items = [(one, Item(one.file, one.number, None)) for one in camera.images]
-            chunks = chunks_of(camera, items, None)
+            chunks = make_chunks(camera, items, None)
             yield "searched for the sun", size, processor_of(lambda: [look_at(chunk) for chunk in chunks], once=True)
 
 

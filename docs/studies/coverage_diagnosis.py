@@ -102,14 +102,14 @@ def fit_of(case: Case, truth: Camera, points: Sightings, scales: tuple[float, fl
     """Return the fit of a lens's sightings with what a control knows."""
     share = min(case.size) / pop.SIZE
     lens = np.array([1.5 * share, 0.6 * share]) if control == "scales known" else None
-    ordinary = robust_fit.grid_of
+    ordinary = robust_fit.make_hyperparameter_grid
 
     def grid_of(template: Camera, options: CalibrationOptions) -> HyperparameterGrid:
         grid = ordinary(template, options)
         return known_grid(grid, scales, lens) if control in {"field known", "scales known"} else grid
 
     basis = projected_radial_basis if control == "gauge projected" else priors.radial_basis
-    with patch.object(robust_fit, "grid_of", grid_of), patch.object(priors, "radial_basis", basis):
+    with patch.object(robust_fit, "make_hyperparameter_grid", grid_of), patch.object(priors, "radial_basis", basis):
         options = CalibrationOptions(projection=case.projection, level_within_deg=60.0)
         return calibrate(points, site=case.site, image_size=case.size, options=options, start=truth)
 

@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.lens_library.conditioning import with_lens
+from sunarc.calibration.lens_library.conditioning import apply_lens_prior
 from sunarc.calibration.lens_library.first_pose import first_pose, north_sigma_deg
-from sunarc.calibration.lens_library.joint import Entry, Unit, calibrate_jointly, lens_type_of
-from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread, frame_of
+from sunarc.calibration.lens_library.joint import Entry, Unit, calibrate_jointly, estimate_lens_type
+from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread, lens_frame
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
@@ -45,11 +45,11 @@ WHEN = {"morning": 0.15, "noon": 0.5, "low sun": 0.01}
 
 def unit_of(rng: np.random.Generator, mean: Camera) -> Camera:
     """Draw a unit of a type, in some pose."""
-    frame, scales = frame_of(mean), SPREAD.scales(mean.focal_length_px[0])
+    frame, scales = lens_frame(mean), SPREAD.scales(mean.focal_length_px[0])
     scales[[1, 2]] = 0.1
     vector = pop.random_camera(rng).to_vector()
     vector[LENS] = frame.lens(frame.whitened(mean) + scales * rng.standard_normal(scales.size))
-    return mean.with_parameters(vector)
+    return mean.replace_parameters(vector)
 
 
 def record(rng: np.random.Generator, camera: Camera, days: tuple[float, ...], *, part: float = 1.0) -> Sightings:
@@ -80,18 +80,18 @@ def of_one_lens(seed: int, rows: dict[str, list[list[float]]], verdicts: dict[st
     mean = pop.random_camera(rng)
     camera = unit_of(rng, mean)
     others = [Unit(str(k), fit(record(rng, unit_of(rng, mean), (0.0, 1.0, 20.0)))) for k in range(3)]
-    types = {"1 unit": lens_type_of(others[:1]), "3 units": lens_type_of(others)}
+    types = {"1 unit": estimate_lens_type(others[:1]), "3 units": estimate_lens_type(others)}
     wrong = pop.random_camera(rng)
-    wrong_type = lens_type_of([Unit("wrong", fit(record(rng, wrong, (0.0, 1.0, 20.0))))])
+    wrong_type = estimate_lens_type([Unit("wrong", fit(record(rng, wrong, (0.0, 1.0, 20.0))))])
     for name, part in (("1 day", 1.0), ("half a day", 0.5)):
         points = record(rng, camera, (10.0,), part=part)
         alone = fit(points)
         rows[f"{name}, alone"].append(score(alone, camera))
         for what, lens in types.items():
-            found = with_lens(alone, lens, points=points, options=OPTIONS)
+            found = apply_lens_prior(alone, lens, points=points, options=OPTIONS)
             rows[f"{name}, type of {what}"].append(score(found, camera))
             verdicts[f"{name}, right type of {what}"][_outcome(found)] += 1
-        found = with_lens(alone, wrong_type, points=points, options=OPTIONS)
+        found = apply_lens_prior(alone, wrong_type, points=points, options=OPTIONS)
         verdicts[f"{name}, type of another lens"][_outcome(found)] += 1
     rows["3 epochs, joint"].append(score(joint_of(rng, camera), camera))
 
@@ -125,7 +125,7 @@ def poses_of_one_lens(seed: int, rows: dict[str, list[list[float]]]) -> None:
     """Add the first poses of one unit whose type is known exactly, within the spread."""
     rng = np.random.default_rng(9000 + seed)
     mean = pop.random_camera(rng)
-    camera, frame = unit_of(rng, mean), frame_of(mean)
+    camera, frame = unit_of(rng, mean), lens_frame(mean)
     level = replace(mean, rotation_cam_enu=(0.0, 0.0, 0.0))
     covariance = frame.basis @ np.diag(SPREAD.scales(mean.focal_length_px[0]) ** 2) @ frame.basis.T
     lens = LensType(

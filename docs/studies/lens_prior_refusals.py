@@ -29,10 +29,10 @@ from lens_prior import SPREAD, record
 from numpy.typing import NDArray
 
 from sunarc.calibration.answers.covariance import hemisphere
-from sunarc.calibration.answers.error_model import error_model_of, joint_covariance, predicted
+from sunarc.calibration.answers.error_model import build_error_model, joint_covariance, predicted
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.lens_library.joint import Unit, lens_type_of
-from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread, frame_of
+from sunarc.calibration.lens_library.joint import Unit, estimate_lens_type
+from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread, lens_frame
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.solve.priors import LENS, Whitened
@@ -52,11 +52,11 @@ OUTCOMES = "contradicted", "otherwise", "left out", "used"
 
 def unit_of(rng: np.random.Generator, mean: Camera, spread: UnitSpread) -> Camera:
     """Draw a unit of a type, in some pose."""
-    frame, scales = frame_of(mean), spread.scales(mean.focal_length_px[0])
+    frame, scales = lens_frame(mean), spread.scales(mean.focal_length_px[0])
     scales[[Whitened.ASPECT, Whitened.SKEW]] = 0.1
     vector = pop.random_camera(rng).to_vector()
     vector[LENS] = frame.lens(frame.whitened(mean) + scales * rng.standard_normal(scales.size))
-    return mean.with_parameters(vector)
+    return mean.replace_parameters(vector)
 
 
 def type_of(rng: np.random.Generator, mean: Camera, spread: UnitSpread) -> LensType | None:
@@ -64,7 +64,7 @@ def type_of(rng: np.random.Generator, mean: Camera, spread: UnitSpread) -> LensT
     points = record(rng, unit_of(rng, mean, spread), (0.0, 1.0, 20.0))
     options = CalibrationOptions(projection=mean.projection)
     found = calibrate(points, site=pop.SGP, image_size=(pop.SIZE, pop.SIZE), options=options)
-    return lens_type_of([Unit("one", found)], spread=spread) if found.verdict.accepted else None
+    return estimate_lens_type([Unit("one", found)], spread=spread) if found.verdict.accepted else None
 
 
 def lenses_of(
@@ -94,10 +94,10 @@ def outcome(found: Calibration) -> str:
 def dishonest(found: Calibration, truth: Camera) -> bool:
     """Return whether the error over the sky exceeds the 95 % quantile of what is stated."""
     shown = camera_sees(truth, project(truth, _SKY))
-    at = predicted(error_model_of(found), found.camera, _SKY[shown])
+    at = predicted(build_error_model(found), found.camera, _SKY[shown])
     fine = np.all(np.isfinite(at.pixels), axis=-1)
-    at = predicted(error_model_of(found), found.camera, _SKY[shown][fine])
-    covariance = joint_covariance(error_model_of(found), at)
+    at = predicted(build_error_model(found), found.camera, _SKY[shown][fine])
+    covariance = joint_covariance(build_error_model(found), at)
     values, vectors = np.linalg.eigh(covariance.reshape(2 * int(fine.sum()), -1))
     drawn = np.random.default_rng(1).standard_normal((_DRAWS, values.size)) * np.sqrt(np.maximum(values, 0.0))
     stated = np.sum((drawn @ vectors.T) ** 2, axis=1)

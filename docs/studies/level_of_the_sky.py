@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 from datetime import UTC, datetime
 
-from sunarc.imaging.brightness import Exposed, Level, factor_all_over, level_of
+from sunarc.imaging.brightness import Exposed, Level, factor_all_over, measure_level
 from sunarc.lab.simulation.options import WEATHERS, SceneOptions
 from sunarc.lab.simulation.scene import Scene
 from sunarc.lab.simulation.truth import SGP, true_camera
@@ -23,7 +23,7 @@ _LATER_S = (30.0, 120.0)
 
 def level(scene: Scene, unix_s: float) -> Level:
     """Return the level of a cycle at a moment."""
-    return level_of(
+    return measure_level(
         [
             Exposed(image=scene.render(round(unix_s * 1e6), exposure_us=us), exposure_us=us, full_scale=4095)
             for us in _EXPOSURES_US

@@ -29,7 +29,7 @@ from sunarc.calibration.fit.marginal_likelihood import DECENTERING_LOG_SIGMA, RA
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Kind, Sightings
-from sunarc.calibration.selection import MOST_STARS, image_parts, surest_of_parts
+from sunarc.calibration.selection import MOST_STARS, image_parts, pick_surest_in_parts
 from sunarc.calibration.solve.priors import LENS, N_LENS, Whitened, lens_prior, precisions
 from sunarc.common.array_types import stacked
 from sunarc.detection.stars.matching import match_stars
@@ -120,7 +120,7 @@ def stars_of(
         toward = sky.directions[[place[str(expected.names[row])] for row in matched.star]].reshape(-1, 3)
         shown = toward[:, 1] < 0.0 if case.south else np.ones(len(toward), dtype=bool)
         found = stars.select(matched.detection[shown])
-        chosen = surest_of_parts(image_parts(found.pixels, _IMAGE), found.sigma_px, _MOST_A_FRAME)
+        chosen = pick_surest_in_parts(image_parts(found.pixels, _IMAGE), found.sigma_px, _MOST_A_FRAME)
         wrong = rng.uniform(size=chosen.size) < case.wrong
         angle, far = rng.uniform(0.0, 2.0 * np.pi, chosen.size), rng.uniform(1.0, 10.0, chosen.size) * wrong
         times.append(np.full(chosen.size, when))
@@ -186,7 +186,7 @@ def prior_lens(rng: np.random.Generator, camera: Camera) -> Camera:
     vector = camera.to_vector()
     vector[LENS] = prior.lens(z)
     vector[PRINCIPAL_POINT] = camera.principal_point_px
-    return camera.with_parameters(vector)
+    return camera.replace_parameters(vector)
 
 
 class Truth(NamedTuple):
@@ -230,7 +230,7 @@ def night_of(truth: Truth, seed: int, asked: argparse.Namespace, case: Case) -> 
     night = nights.Night(sigma_px=asked.star_sigma, field=truth.field, **{**drawn, **case.night})
     stars = stars_of(rng, truth.camera, truth.day, moments, night=night, air=truth.air, case=case)
     if asked.stars < len(stars):
-        stars = stars.select(surest_of_parts(image_parts(stars.pixels, _IMAGE), stars.sigma_px, asked.stars))
+        stars = stars.select(pick_surest_in_parts(image_parts(stars.pixels, _IMAGE), stars.sigma_px, asked.stars))
     return stars
 
 

@@ -32,12 +32,12 @@ from scipy.ndimage import gaussian_filter
 
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Kind, Sightings
-from sunarc.calibration.selection import MOST_STARS, image_parts, surest_of_parts
+from sunarc.calibration.selection import MOST_STARS, image_parts, pick_surest_in_parts
 from sunarc.calibration.verdict import accept
 from sunarc.common.array_types import stacked
 from sunarc.detection.values import Stars
 from sunarc.imager.cameras.frame import Frame
-from sunarc.imager.workers.night.night import decide_night, summary_of
+from sunarc.imager.workers.night.night import decide_night, summarize_night
 from sunarc.lab.simulation.options import SceneOptions, SensorModel, SimulatedNight
 from sunarc.lab.simulation.scene import Scene
 from sunarc.lab.simulation.truth import SGP, true_camera
@@ -238,14 +238,14 @@ class Made:
             for when, stars, _ in found
         ]  # fmt: skip
         matched = match_views(views)
-        verdict, _ = decide_night(summary_of(views, matched), moonlit_share=0.0)
+        verdict, _ = decide_night(summarize_night(views, matched), moonlit_share=0.0)
         columns: dict[str, list[Any]] = {"unix_s": [], "pixels": [], "sigma_px": [], "directions": []}
         false = 0
         for (_, stars, names), view, one in zip(found, views, matched, strict=True):
             if not one.matches.accepted:
                 continue
             every = one.stars.select(one.matches.detection)
-            chosen = surest_of_parts(image_parts(every.pixels, IMAGE), every.sigma_px, MOST_A_FRAME)
+            chosen = pick_surest_in_parts(image_parts(every.pixels, IMAGE), every.sigma_px, MOST_A_FRAME)
             true = {tuple(pixel): name for pixel, name in zip(stars.pixels.tolist(), names, strict=True)}
             named = np.array(one.names(view))[chosen]
             pixels = every.pixels[chosen]
@@ -264,7 +264,7 @@ class Made:
         joined = {name: np.concatenate(parts) for name, parts in columns.items()}
         stars_found = Sightings.of(**joined, kind=np.full(stored, Kind.STAR))
         parts_of = image_parts(stars_found.pixels, IMAGE)
-        stars_found = stars_found.select(surest_of_parts(parts_of, stars_found.sigma_px, MOST_STARS))
+        stars_found = stars_found.select(pick_surest_in_parts(parts_of, stars_found.sigma_px, MOST_STARS))
         both = clear_nights.fitted(clear_nights.together(self.sun, stars_found))
         return f"{said}, {tally.add_fit(self.day, both, self.lens)}"
 

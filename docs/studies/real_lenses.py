@@ -167,7 +167,7 @@ def fitted(lens: Published, start: Camera, angle: FloatArray, turn: FloatArray) 
     unknowns, mean = np.zeros(basis.shape[1]), start.to_vector()
     unknowns[13] = 1e-3
     for _ in range(_ROUNDS):
-        camera = start.with_parameters(mean + basis @ unknowns)
+        camera = start.replace_parameters(mean + basis @ unknowns)
         pixels, by_parameters, _ = project_with_jacobian(camera, directions)
         rows = (by_parameters @ basis).reshape(-1, unknowns.size) * 100.0
         right = np.r_[100.0 * (wanted - pixels).ravel(), -np.sqrt(precision) * unknowns]

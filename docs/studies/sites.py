@@ -35,7 +35,7 @@ from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.verdict import with_clock
+from sunarc.calibration.verdict import add_stated_clock
 from sunarc.optics.inverse import unproject
 from sunarc.optics.projections import Projection
 from sunarc.sky.site import Site
@@ -182,7 +182,7 @@ def fitted(world: World, day: Day, slip: str) -> Calibration:
     """Return the fit that the owner gets; no bound of the clock is stated."""
     projection: Projection | Literal["auto"] = "auto" if slip == "projection not stated" else "equidistant"
     options = CalibrationOptions(projection=projection, level_within_deg=world.limit_deg)
-    return with_clock(calibrate(day.points, site=day.site, image_size=(_SIZE, _SIZE), options=options), None)
+    return add_stated_clock(calibrate(day.points, site=day.site, image_size=(_SIZE, _SIZE), options=options), None)
 
 
 class Apparent(NamedTuple):

@@ -166,7 +166,7 @@ nb::tuple most_probable(int code, double mirror, double max_angle, In<double, N_
     return nb::make_tuple(result.array(), cost);
 }
 
-Result residuals_of(int code, double mirror, double max_angle, In<double, PARAMETERS> vector, Vectors directions,
+Result compute_residuals(int code, double mirror, double max_angle, In<double, PARAMETERS> vector, Vectors directions,
                     Places pixels) {
     require_projection(code);
     const size_t n = directions.shape(0);
@@ -207,7 +207,7 @@ struct Columns {
     double& at(int c, size_t column, size_t i) const { return columns[(c * size + column) * n + i]; }
 };
 
-nb::tuple residuals_and_columns_of(int code, double mirror, double max_angle, In<double, -1, PARAMETERS> vectors,
+nb::tuple residuals_and_jacobian(int code, double mirror, double max_angle, In<double, -1, PARAMETERS> vectors,
                                    In<double, N_LENS, N_LENS> basis, Vectors directions, Places pixels,
                                    Indices epoch, In<double, -1, 2, -1> systematic_px, Numbers sizes) {
     require_projection(code);
@@ -262,9 +262,9 @@ void add_fit(nb::module_& module) {
                named("basis"), named("directions"), named("pixels"), named("information"), named("epoch"),
                named("precision"), nb::arg("sigma"), nb::arg("iterations"), nb::arg("tolerance"), named("start"),
                named("moving"));
-    module.def("residuals_of", &residuals_of, nb::arg("code"), nb::arg("mirror"), nb::arg("max_angle"), named("vector"),
+    module.def("compute_residuals", &compute_residuals, nb::arg("code"), nb::arg("mirror"), nb::arg("max_angle"), named("vector"),
                named("directions"), named("pixels"));
-    module.def("residuals_and_columns_of", &residuals_and_columns_of, nb::arg("code"), nb::arg("mirror"),
+    module.def("residuals_and_jacobian", &residuals_and_jacobian, nb::arg("code"), nb::arg("mirror"),
                nb::arg("max_angle"), named("vectors"), named("basis"), named("directions"), named("pixels"),
                named("epoch"), named("systematic_px"), named("sizes"));
 }

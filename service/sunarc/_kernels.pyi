@@ -247,7 +247,7 @@ def moments_below(
     ValueError : lengths that differ.
     """
 
-def residuals_of(
+def compute_residuals(
     code: int,
     mirror: float,
     max_angle: float,
@@ -262,7 +262,7 @@ def residuals_of(
     vector : (23,) the camera.
     """
 
-def residuals_and_columns_of(
+def residuals_and_jacobian(
     code: int,
     mirror: float,
     max_angle: float,
@@ -274,7 +274,7 @@ def residuals_and_columns_of(
     systematic_px: FloatArray,
     sizes: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return residuals (2, n) as of `residuals_of`, and derivatives of the prediction by the unknowns (2, size, n).
+    """Return residuals (2, n) of `compute_residuals`, and derivatives of the prediction by the unknowns (2, size, n).
 
     Parameters
     ----------

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image as Pictures
 
 from sunarc.imager.archive.images import ImageStore
-from sunarc.imaging.metadata import document_of, jpeg_with, png_with
+from sunarc.imaging.metadata import embedded_document, jpeg_with, png_with
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made, Make
@@ -77,7 +77,7 @@ def test_the_png_is_the_file_with_its_counts_and_metadata(served: Made) -> None:
     counts = cv2.imdecode(np.frombuffer(answer.content, np.uint8), cv2.IMREAD_UNCHANGED)
     assert counts is not None
     np.testing.assert_array_equal(counts, composite(1))
-    assert (document_of(answer.content) or {})["exposures"][2]["exposure_us"] == 48_000.0
+    assert (embedded_document(answer.content) or {})["exposures"][2]["exposure_us"] == 48_000.0
     assert answer.headers["sunarc-exposures-us"].split(", ") == ["3000", "12000", "48000"]
     assert answer.headers["sunarc-time"].startswith("2013-05-13T21:00:00.25")
     listed = served.client.get("/v1/images").json()["images"]

@@ -18,7 +18,7 @@ from tests.fixtures.calibrations import SITE
 from sunarc.detection.values import Detection
 from sunarc.imager.archive.archive import CameraArchive
 from sunarc.imager.archive.obstructions import ObstructionLearner
-from sunarc.imager.archive.sightings import sun_point_of
+from sunarc.imager.archive.sightings import make_sun_point
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "docs" / "studies"))
 from obstruction_world import World
@@ -137,7 +137,7 @@ def test_a_sun_behind_an_obstruction_is_not_used_and_earlier_ones_are_set_aside(
     found = Detection(method="disc", accepted=True, verdict="clear", findings=(), x_px=9.0, y_px=9.0)
     made.archive.sightings.add(
         [
-            sun_point_of(found, camera="roof", pose_epoch="", time=one, exposure_us=1.0, clock_error_s=0.0)
+            make_sun_point(found, camera="roof", pose_epoch="", time=one, exposure_us=1.0, clock_error_s=0.0)
             for one in times
         ]
     )

@@ -25,7 +25,7 @@ from sunarc.detection.values import Detection
 from sunarc.imager.app import serving
 from sunarc.imager.app.cameras import camera_opener, camera_record
 from sunarc.imager.app.service import Service, imager_recording
-from sunarc.imager.app.serving import Server, daily_schedule, monitored_parts, serve_imager, with_credentials
+from sunarc.imager.app.serving import Server, daily_schedule, load_credentials, monitored_parts, serve_imager
 from sunarc.imager.archive.archive import open_archive
 from sunarc.imager.archive.database.schema import upgrade
 from sunarc.imager.archive.pictures_of_one_time import ELSEWHERE
@@ -114,7 +114,7 @@ def test_only_what_sends_to_others_or_tries_the_store_is_optional(
     push = {"webhooks": ["http://127.0.0.1:9/"], "webhook_secret_file": tmp_path / "secret", "mqtt": "mqtt://127.0.0.1"}
     hub = {"url": "http://127.0.0.1:9", "token_file": tmp_path / "secret"}
     running = made(new_settings(tmp_path, camera=CAMERA, hub=hub, push=push), camera, clock)
-    workers = (*running.workers(), *imager_recording(running), *serving.push_workers_of(running))
+    workers = (*running.workers(), *imager_recording(running), *serving.make_push_workers(running))
     running.archive.close()
     sending = {"feed", "notices", "push_mqtt", f"push_{webhook_name('http://127.0.0.1:9/')}"}
     assert {worker.name for worker in workers if worker.optional} == {*sending, "room"}
@@ -194,9 +194,9 @@ def test_while_the_clock_is_not_trusted_a_change_is_dated_just_after_the_newest_
     service.open_and_remember()
     store_sun_point(service.archive, NOON, clock_error_s=0.0, **HIDDEN)
     clock.advance(3600.0)
-    assert service._time_of_change() == NOON + timedelta(hours=1)
+    assert service._change_time() == NOON + timedelta(hours=1)
     clock.set_state(ClockState(synchronised=False, error_bound_s=16.0))
-    assert service._time_of_change() == NOON + timedelta(microseconds=1)
+    assert service._change_time() == NOON + timedelta(microseconds=1)
 
 
 @pytest.mark.parametrize("source", ["aravis", "replay"])
@@ -215,10 +215,10 @@ def test_tokens_of_systemd_are_used_where_no_file_is_set(tmp_path: Path, monkeyp
     for name in ("api-token", "api-read-token"):
         (tmp_path / name).write_text("token-of-systemd-0123456789")
     monkeypatch.setenv("CREDENTIALS_DIRECTORY", str(tmp_path))
-    options = with_credentials(new_settings(tmp_path).api)
+    options = load_credentials(new_settings(tmp_path).api)
     assert (options.token_file, options.read_token_file) == (tmp_path / "api-token", tmp_path / "api-read-token")
     own = replace(options, token_file=tmp_path / "own")
-    assert with_credentials(own).token_file == tmp_path / "own"
+    assert load_credentials(own).token_file == tmp_path / "own"
 
 
 def test_the_web_servers_loop_and_the_schedule_are_watched(service: Service) -> None:

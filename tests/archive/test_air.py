@@ -97,7 +97,7 @@ def test_the_site_of_a_day_is_in_its_air(archive: Archive) -> None:
     warm = archive.days.site_with_air_at("roof", SITE, NOON)
     assert warm == replace(SITE, temperature=35.0)
     assert archive.days.site_with_air_at("roof", SITE, NOON + timedelta(days=1)) == SITE
-    assert archive.days.site_with_air_of("roof", SITE, NOON.date()) == warm
+    assert archive.days.site_in_measured_air("roof", SITE, NOON.date()) == warm
 
 
 def test_a_calibration_is_reproduced_in_the_air_that_it_was_made_with(archive: Archive) -> None:
@@ -107,7 +107,7 @@ def test_a_calibration_is_reproduced_in_the_air_that_it_was_made_with(archive: A
     archive.days.set_air(replace(WARM, temperature_c=None, pressure_hpa=None))
     archive.calibrations.add(document("assumed"), used=archive.sightings.columns("roof"))
     archive.days.set_air(replace(WARM, temperature_c=-5.0))
-    warm, assumed = archive.calibrations.sightings_of("warm"), archive.calibrations.sightings_of("assumed")
+    warm, assumed = archive.calibrations.sightings_given_to("warm"), archive.calibrations.sightings_given_to("assumed")
     assert set(warm.temperature.tolist()) == {35.0}
     assert set(warm.pressure.tolist()) == {97_500.0}
     assert np.all(np.isnan(assumed.temperature))
@@ -120,7 +120,7 @@ def test_a_damaged_air_of_a_calibration_is_named(archive: Archive, path: Path) -
     with closing(sqlite3.connect(path)) as connection, connection:
         connection.execute("UPDATE used_sightings SET air = x'00'")
     with pytest.raises(InputError, match="damaged"):
-        archive.calibrations.sightings_of("a")
+        archive.calibrations.sightings_given_to("a")
 
 
 def test_what_was_written_by_hand_and_is_no_air_counts_as_not_measured(archive: Archive, path: Path) -> None:

@@ -25,7 +25,7 @@ def agrees(archive: Archive) -> SunPointColumns:
         np.testing.assert_array_equal(getattr(read.candidates, name)[order], getattr(whole, name))
     names = [read.epoch_ids[number] for number in read.candidates.epoch[order].tolist()]
     assert names == [whole.epoch_ids[number] for number in whole.epoch.tolist()]
-    again = archive.sightings.of_ids("roof", read.ids)
+    again = archive.sightings.by_ids("roof", read.ids)
     for name in ("unix_s", "pixels", "sigma_px", "ids", "body", "epoch"):
         np.testing.assert_array_equal(getattr(again, name), getattr(whole, name))
     return whole
@@ -50,7 +50,7 @@ def test_sightings_but_those_of_the_sun(archive: Archive) -> None:
 def test_without_sightings_there_are_no_candidates(archive: Archive) -> None:
     assert agrees(archive).ids.size == 0
     assert archive.sightings.candidates("nowhere").ids.size == 0  # and no pose epoch either
-    assert archive.sightings.of_ids("roof", np.array([1, 2])).ids.size == 0
+    assert archive.sightings.by_ids("roof", np.array([1, 2])).ids.size == 0
 
 
 @pytest.mark.parametrize(

@@ -196,12 +196,12 @@ def test_levels_are_those_of_accepted_discs_in_a_microsecond(archive: Archive) -
 def test_observation_times_are_of_all_looks_but_frozen_ones(archive: Archive) -> None:
     hidden = replace(POINT, accepted=False, verdict="hidden", x_px=None, y_px=None)
     archive.sightings.add([POINT, replace(hidden, time=at(1)), replace(hidden, time=at(2), verdict="frozen")])
-    found = archive.sightings.observation_times("roof", since=at(0), until=at(9))
+    found = archive.sightings.exposure_times("roof", since=at(0), until=at(9))
     assert found is not None
     assert sorted(found.tolist()) == [at(0).timestamp(), at(1).timestamp()]
     archive.sightings.add([replace(POINT, time=at(3), method="import")])
-    assert archive.sightings.observation_times("roof", since=at(0), until=at(9)) is None
-    assert archive.sightings.observation_times("roof", since=at(0), until=at(3)) is not None
+    assert archive.sightings.exposure_times("roof", since=at(0), until=at(9)) is None
+    assert archive.sightings.exposure_times("roof", since=at(0), until=at(3)) is not None
 
 
 def test_a_selection_of_columns_has_its_own_epochs(archive: Archive) -> None:

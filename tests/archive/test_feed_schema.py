@@ -17,7 +17,7 @@ from tests.fixtures.fleet import NOW, batch_of, sighting
 
 from sunarc.common.errors import InputError
 from sunarc.hub.archive import HubArchive
-from sunarc.hub.feed_schema import feed_schema, problem_of, typed
+from sunarc.hub.feed_schema import feed_schema, find_problem, typed
 from sunarc.imager.archive.database.schema import head_revision
 from sunarc.imager.archive.feed_rows import FED, REMOVED, STATUS, FeedRow, Refusal, feed_lines, read_feed_lines
 
@@ -42,7 +42,7 @@ def test_every_column_is_described() -> None:
 def taken(kind: str, data: dict[str, Any]) -> bool:
     """Whether the hub finds nothing wrong with the form of a row."""
     table = kind.removesuffix(REMOVED)
-    if problem_of(table, data, only_key=table != kind) is not None:
+    if find_problem(table, data, only_key=table != kind) is not None:
         return False
     try:
         return bool(kind == STATUS or typed(table, data) is not None)

@@ -21,7 +21,7 @@ from sunarc.hub.archive import HubArchive
 from sunarc.hub.feed_schema import FUTURE
 from sunarc.hub.feeds import KEPT
 from sunarc.imager.archive.feed_rows import FED, FeedBatch, FeedRow, Refusal, read_feed_lines
-from sunarc.imager.archive.values import Day, DayAir, Event, Refit, SunPoint, fields_of
+from sunarc.imager.archive.values import Day, DayAir, Event, Refit, SunPoint, field_values
 from sunarc.sources.image_key import ImageKey
 
 
@@ -203,7 +203,7 @@ def test_a_second_installation_is_set_apart_until_it_is_accepted(
 
 
 def row_of(number: int = 0, **changes: Any) -> dict[str, Any]:  # noqa: ANN401 - of many types
-    row = fields_of(sighting(number))
+    row = field_values(sighting(number))
     row["reason"] = json.dumps([one.as_json() for one in row.pop("findings")])
     return row | {"time": int(row["time"].timestamp() * 1e6)} | changes
 

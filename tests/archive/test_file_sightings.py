@@ -90,11 +90,11 @@ def test_images_that_are_a_stack_now_count_once_and_by_no_former_method(archive:
 def test_what_is_stored_of_files_is_found_by_its_time(archive: Archive) -> None:
     later = replace(REFUSED, time=NOON + timedelta(seconds=1))
     archive.sightings.replace([FOUND, later, replace(FOUND, body="moon", file="c.jpg")])
-    (found,) = archive.sightings.of_files("roof", times_us=AT_NOON)
+    (found,) = archive.sightings.file_sightings("roof", times_us=AT_NOON)
     assert found.key == ImageKey(to_microseconds(NOON), 0.0, "a.jpg", "")
     assert (found.accepted, found.verdict, found.ingest_pass) == (True, "clear", 1)
     assert (found.x_px, found.y_px, found.sigma_px) == (900.0, 700.0, 2.0)
-    assert archive.sightings.of_files("attic", times_us=AT_NOON) == []
+    assert archive.sightings.file_sightings("attic", times_us=AT_NOON) == []
 
 
 def test_sightings_of_version_0_2_get_the_names_of_their_files(archive: Archive) -> None:
@@ -120,7 +120,7 @@ def test_a_calibration_keeps_the_sigma_that_it_was_given(archive: Archive) -> No
     for _ in range(2):
         archive.sightings.scale_sigma("roof", method="paper", factor=2.0, event=LEARNED)
         archive.calibrations.add(document(f"b{_}"), used=archive.sightings.columns("roof"))
-    given = {name: archive.calibrations.sightings_of(name).sigma_px.tolist() for name in ("a", "b0", "b1")}
+    given = {name: archive.calibrations.sightings_given_to(name).sigma_px.tolist() for name in ("a", "b0", "b1")}
     assert given == {"a": sigma, "b0": [2.0, 4.0, 8.0], "b1": [4.0, 8.0, 16.0]}
 
 
@@ -129,17 +129,17 @@ def test_a_calibration_keeps_what_is_measured_anew(archive: Archive, n_learned: 
     minutes = [replace(FOUND, time=NOON + timedelta(minutes=n)) for n in range(3)]
     archive.sightings.add(minutes)
     archive.calibrations.add(document("a"), used=archive.sightings.columns("roof"))
-    before = archive.calibrations.sightings_of("a")
+    before = archive.calibrations.sightings_given_to("a")
     for _ in range(n_learned):
         archive.sightings.scale_sigma("roof", method="paper", factor=2.0, event=LEARNED)
     archive.sightings.replace([replace(minutes[1], x_px=905.0, sigma_px=0.5)])
     archive.calibrations.add(document("b"), used=archive.sightings.columns("roof"))
     archive.sightings.widen_clock_errors("roof", since=NOON, until=NOON + timedelta(hours=1), error_s=3.0)
     archive.sightings.replace([replace(minutes[2], x_px=None, y_px=None, accepted=False, verdict="no_sun")])
-    kept = archive.calibrations.sightings_of("a")
+    kept = archive.calibrations.sightings_given_to("a")
     for name in ("unix_s", "pixels", "sigma_px", "clock_error_s", "ids"):
         np.testing.assert_array_equal(getattr(kept, name), getattr(before, name))
-    assert archive.calibrations.sightings_of("b").pixels[:, 0].tolist() == [900.0, 905.0, 900.0]
+    assert archive.calibrations.sightings_given_to("b").pixels[:, 0].tolist() == [900.0, 905.0, 900.0]
 
 
 def test_sightings_measured_anew_during_a_fit_are_kept_as_the_fit_had_them(archive: Archive) -> None:
@@ -147,7 +147,7 @@ def test_sightings_measured_anew_during_a_fit_are_kept_as_the_fit_had_them(archi
     used = archive.sightings.columns("roof")
     archive.sightings.scale_sigma("roof", method="paper", factor=2.0, event=LEARNED)
     archive.calibrations.add(document("a"), used=used)
-    assert archive.calibrations.sightings_of("a").sigma_px.tolist() == [2.0]
+    assert archive.calibrations.sightings_given_to("a").sigma_px.tolist() == [2.0]
 
 
 def test_a_moved_sighting_of_a_calibration_is_still_noticed(archive: Archive, path: Path) -> None:
@@ -157,7 +157,7 @@ def test_a_moved_sighting_of_a_calibration_is_still_noticed(archive: Archive, pa
     with closing(sqlite3.connect(path)) as connection, connection:
         connection.execute("UPDATE sun_point SET x_px = x_px + 1")
     with pytest.raises(InputError, match="changed since"):
-        archive.calibrations.sightings_of("a")
+        archive.calibrations.sightings_given_to("a")
 
 
 @pytest.mark.parametrize("damage", ["x'00'", "'text'"])
@@ -167,7 +167,7 @@ def test_a_damaged_sigma_of_a_calibration_is_named(archive: Archive, path: Path,
     with closing(sqlite3.connect(path)) as connection, connection:
         connection.execute(f"UPDATE used_sightings SET sigma = {damage}")  # noqa: S608 - the test's own
     with pytest.raises(InputError, match="damaged"):
-        archive.calibrations.sightings_of("a")
+        archive.calibrations.sightings_given_to("a")
 
 
 def test_an_older_database_gets_the_new_key_and_its_ids_stay(archive: Archive, path: Path) -> None:
@@ -183,7 +183,7 @@ def test_an_older_database_gets_the_new_key_and_its_ids_stay(archive: Archive, p
     upgrade(path)
     with open_archive(path) as opened:
         assert [point.file for point in opened.sightings.find("roof")] == [""] * 5
-        np.testing.assert_array_equal(opened.calibrations.sightings_of("a").ids, [1, 2, 3, 4, 5])
+        np.testing.assert_array_equal(opened.calibrations.sightings_given_to("a").ids, [1, 2, 3, 4, 5])
         assert opened.sightings.add([FOUND]) == 1
 
 

@@ -14,7 +14,7 @@ from tests.fixtures.nights import judged, whole_night
 from sunarc.common.errors import InputError, NotFoundError
 from sunarc.common.findings import Finding, uncoded
 from sunarc.imager.archive.archive import Archive, open_archive
-from sunarc.imager.archive.days import night_of_event
+from sunarc.imager.archive.days import event_night
 from sunarc.imager.archive.values import Day, Event, Refit
 
 from .conftest import ROOF
@@ -173,15 +173,15 @@ def test_a_night_that_lacks_a_value_is_damaged_and_none_of_its_numbers_is_made_u
 def test_an_event_of_a_former_version_is_a_night() -> None:
     numbers = {"n_images": 48, "n_accepted": 46, "halo": 0.01, "another": 1.0, "reasons": "as it was"}
     details = {"date": "2013-05-12", "verdict": "clear", **numbers, "findings": [{"code": "a", "data": {"x": None}}]}
-    told = night_of_event("roof", NOW, details)
+    told = event_night("roof", NOW, details)
     assert told is not None
     assert (told.date, told.verdict, told.decided_at) == (date(2013, 5, 12), "clear", NOW)
     assert (told.n_images, told.n_accepted, told.n_warm_pixels) == (48, 46, 0)
     assert (told.halo, told.zero_point, told.images, told.zenith_bands) == (0.01, None, None, ())
     assert [finding.code for finding in told.findings] == ["a"]
     for lacking, expected in (({"n_images": None}, "n_images"), ({"verdict": "bright"}, "verdict")):
-        damaged = night_of_event("roof", NOW, {**details, **lacking})
+        damaged = event_night("roof", NOW, {**details, **lacking})
         assert damaged is not None
         assert (damaged.verdict, damaged.findings) == ("unusable", (Finding("night_damaged", {"field": expected}),))
     for unread in ({"date": "yesterday"}, {}):
-        assert night_of_event("roof", NOW, unread and {**details, **unread}) is None
+        assert event_night("roof", NOW, unread and {**details, **unread}) is None

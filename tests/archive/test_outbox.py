@@ -17,10 +17,10 @@ from tests.fixtures.fleet import NOON, new_imager, sighting
 
 from sunarc.common.errors import InputError
 from sunarc.common.findings import Finding, uncoded
-from sunarc.hub.feed_schema import problem_of
+from sunarc.hub.feed_schema import find_problem
 from sunarc.imager.archive.archive import Archive, open_archive
 from sunarc.imager.archive.database.tables import metadata
-from sunarc.imager.archive.feed_rows import FED, STATUS, FeedRow, columns_of, feed_lines, read_feed_lines
+from sunarc.imager.archive.feed_rows import FED, STATUS, FeedRow, feed_lines, read_feed_lines, sent_columns
 from sunarc.imager.archive.outbox import outbox_triggers
 from sunarc.imager.archive.values import Day, DayAir, Event, Housekeeping, Refit
 from sunarc.sources.image_key import ImageKey
@@ -74,8 +74,8 @@ def test_every_kind_of_row_is_queued_with_all_its_columns_in_the_order_of_the_ch
     assert [row.seq for row in rows] == list(range(1, 12))
     for row in rows:
         assert row.data is not None
-        assert set(row.data) == set(columns_of(row.kind))
-        assert problem_of(row.kind, row.data) is None
+        assert set(row.data) == set(sent_columns(row.kind))
+        assert find_problem(row.kind, row.data) is None
 
 
 def test_every_table_is_sent_or_left_out_for_a_reason() -> None:

@@ -29,7 +29,7 @@ from sunarc.imager.archive.database.schema import check, head_revision, upgrade_
 from sunarc.imager.archive.database.tables import metadata
 from sunarc.imager.archive.feed_rows import REMOVED, FeedBatch
 from sunarc.imager.archive.sightings import MOVED
-from sunarc.imager.archive.values import SunPoint, fields_of
+from sunarc.imager.archive.values import SunPoint, field_values
 
 from .conftest import NOON, ROOF
 
@@ -96,7 +96,7 @@ def test_plans_of_the_archives_own_questions_use_one_partition_and_its_indices(u
         )
         since = datetime(2013, 5, 8, tzinfo=UTC)
         archive.sightings.columns("roof", since=since, until=since + timedelta(days=2))
-        archive.sightings.observation_times("roof", since=since, until=since + timedelta(days=2))
+        archive.sightings.exposure_times("roof", since=since, until=since + timedelta(days=2))
     with engine_of.execution_options(isolation_level="AUTOCOMMIT").connect() as connection:
         connection.exec_driver_sql("VACUUM ANALYZE sun_point")
         asked = [one for one in statements if "FROM sun_point" in one[0]]
@@ -335,7 +335,7 @@ def batch_after(imager: HubArchive, *rows: tuple[str, dict[str, Any]], camera: s
 
 
 def row_of(number: int, camera: str, **changes: Any) -> dict[str, Any]:  # noqa: ANN401 - of many types
-    row = fields_of(sighting(number, camera=camera))
+    row = field_values(sighting(number, camera=camera))
     row["reason"] = json.dumps([one.as_json() for one in row.pop("findings")])
     return row | {"time": int(row["time"].timestamp() * 1e6)} | changes
 

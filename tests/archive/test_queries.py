@@ -15,7 +15,7 @@ import pytest
 from sunarc.detection.values import Detection
 from sunarc.imager.archive.archive import Archive, open_archive
 from sunarc.imager.archive.database.schema import check, downgrade, known_revisions, upgrade
-from sunarc.imager.archive.sightings import sun_point_of
+from sunarc.imager.archive.sightings import make_sun_point
 from sunarc.imager.archive.values import SunPoint
 from sunarc.sky.days import solar_date
 from sunarc.sky.site import Site
@@ -162,7 +162,9 @@ def test_no_sightings_are_no_write(archive: Archive) -> None:
 def test_an_archives_day_air_is_that_of_the_solar_day(archive: Archive) -> None:
     site = Site(latitude=ROOF.latitude, longitude=ROOF.longitude, altitude=ROOF.altitude)
     assert archive.days.site_with_air_at("roof", site, NOON) == site
-    assert archive.days.site_with_air_of("roof", site, solar_date(NOON.timestamp(), longitude=site.longitude)) == site
+    assert (
+        archive.days.site_in_measured_air("roof", site, solar_date(NOON.timestamp(), longitude=site.longitude)) == site
+    )
 
 
 def test_a_sighting_has_every_number_of_its_detection() -> None:
@@ -171,7 +173,7 @@ def test_a_sighting_has_every_number_of_its_detection() -> None:
         "ellipticity": 7.0, "residual_chi2": 8.0, "snr": 9.0, "saturated_px": 10,
     }  # fmt: skip
     found = Detection(method="disc", accepted=True, verdict="veiled", findings=(), **numbers)  # type: ignore[arg-type]
-    point = sun_point_of(found, camera="roof", pose_epoch="e", time=NOON, exposure_us=20.0, clock_error_s=0.5)
+    point = make_sun_point(found, camera="roof", pose_epoch="e", time=NOON, exposure_us=20.0, clock_error_s=0.5)
     assert numbers.items() <= asdict(point).items()
     assert (point.method, point.accepted, point.verdict) == ("disc", True, "veiled")
     assert (point.exposure_us, point.clock_error_s, point.time, point.pose_epoch) == (20.0, 0.5, NOON, "e")

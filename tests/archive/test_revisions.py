@@ -26,7 +26,7 @@ from sunarc.imager.archive.feed_rows import FeedBatch, FeedRow, Refusal
 from sunarc.imager.archive.seen_files import SeenFile
 from sunarc.imager.archive.sightings import MOVED
 from sunarc.imager.archive.values import Day, DayAir, Event, Housekeeping, Refit, SunPoint
-from sunarc.imager.workers.night.night import event_of_night
+from sunarc.imager.workers.night.night import night_event
 
 from .conftest import NOON
 from .test_calibrations import document
@@ -60,7 +60,7 @@ def filled(archive: HubArchive, path: Path) -> Path:
     )
     archive.conditions.save("roof", {"disk_low": NOON})
     archive.nights.add_image("roof", night_image(NOON), keep_since=NOON)
-    archive.nights.save(whole_night(NOON), event=event_of_night(whole_night(NOON)))
+    archive.nights.save(whole_night(NOON), event=night_event(whole_night(NOON)))
     archive.seen_files.add([SeenFile(camera="roof", file="a.jpg", stamp="1 2", content="ff", time=NOON)])
     archive.nightly.summarise_days()
     archive.nightly.save(NightlyRun(night=NOON.date(), started_at=NOON, finished_at=NOON, results={"a": {"days": 1}}))
@@ -241,9 +241,9 @@ def test_the_events_of_former_nights_become_rows_the_last_of_each_night(filled: 
     night = archive.nights.find("roof")[0]
     why = (Finding("night_without_calibration"),)
     second = judged("2013-05-11", at=NOON - timedelta(days=1), findings=why, n_images=9)
-    archive.events.add(event_of_night(replace(night, decided_at=NOON + timedelta(hours=1), verdict="cloudy")))
-    archive.events.add(event_of_night(night))
-    archive.events.add(event_of_night(second))
+    archive.events.add(night_event(replace(night, decided_at=NOON + timedelta(hours=1), verdict="cloudy")))
+    archive.events.add(night_event(night))
+    archive.events.add(night_event(second))
     unread: list[dict[str, Any]] = [
         {"date": "2013-05-10", "verdict": "clear", "findings": []},
         {"date": "2013-05-09", "verdict": "bright", "n_images": 3},
@@ -253,7 +253,7 @@ def test_the_events_of_former_nights_become_rows_the_last_of_each_night(filled: 
     ]
     for number, details in enumerate(unread):
         time = NOON - timedelta(days=2, hours=number)
-        archive.events.add(replace(event_of_night(second), details=details, time=time))
+        archive.events.add(replace(night_event(second), details=details, time=time))
     archive.close()
     downgrade(filled, "0016")
     with closing(sqlite3.connect(filled)) as connection, connection:

@@ -50,7 +50,7 @@ def test_the_sightings_of_a_calibration_come_back_as_they_were(rested: Archive) 
     given = rested.sightings.columns("roof").select(np.arange(0, 257, 3))
     rested.sightings.add([point(MAY + timedelta(seconds=1), 1.0)])
     rested.epochs.open("roof", at=MAY + timedelta(minutes=30), reason="found out later")
-    found = rested.calibrations.sightings_of("a")
+    found = rested.calibrations.sightings_given_to("a")
     for name in ("unix_s", "pixels", "sigma_px", "clock_error_s", "epoch", "ids"):
         assert np.array_equal(getattr(found, name), getattr(given, name), equal_nan=True)
     assert found.epoch_ids == ("roof-1",)
@@ -60,7 +60,7 @@ def test_two_epochs_come_back_as_two(rested: Archive) -> None:
     rested.epochs.open("roof", at=MAY + timedelta(minutes=100), reason="moved")
     columns = rested.sightings.columns("roof")
     rested.calibrations.add(document("b", pose_epoch="roof-2"), used=columns)
-    found = rested.calibrations.sightings_of("b")
+    found = rested.calibrations.sightings_given_to("b")
     assert found.epoch_ids == ("roof-1", "roof-2")
     assert np.array_equal(found.epoch, columns.epoch)
 
@@ -70,7 +70,9 @@ def test_a_copy_rests_on_the_same_sightings(rested: Archive) -> None:
     rested.calibrations.add(document("b", day=1))
     rested.calibrations.activate("b")
     copy = rested.calibrations.reinstate("a", at=MAY + timedelta(days=2), reason="")
-    assert np.array_equal(rested.calibrations.sightings_of(copy.id).ids, rested.calibrations.sightings_of("a").ids)
+    assert np.array_equal(
+        rested.calibrations.sightings_given_to(copy.id).ids, rested.calibrations.sightings_given_to("a").ids
+    )
 
 
 @pytest.mark.parametrize(
@@ -85,14 +87,14 @@ def test_sightings_edited_by_hand_are_noticed(rested: Archive, path: Path, edit:
     with closing(sqlite3.connect(path)) as by_hand, by_hand:
         by_hand.execute(edit)
     with pytest.raises(InputError, match=told):
-        rested.calibrations.sightings_of("a")
+        rested.calibrations.sightings_given_to("a")
     assert rested.calibrations.get("a").id == "a"
 
 
 def test_a_calibration_without_its_sightings_says_so(rested: Archive) -> None:
     rested.calibrations.add(document("b"))
     with pytest.raises(NotFoundError, check=lambda error: error.field == "id"):
-        rested.calibrations.sightings_of("b")
+        rested.calibrations.sightings_given_to("b")
 
 
 def test_the_keys_of_ten_thousand_sightings_take_a_few_kilobytes(rested: Archive, path: Path) -> None:
@@ -112,6 +114,6 @@ def test_stars_that_a_calibration_rests_on_come_back_with_their_names(archive: A
     archive.sightings.add([point(MAY, 800.0, sigma_px=0.02), star])
     columns = archive.sightings.columns("roof", body=None)
     archive.calibrations.add(document("a"), used=columns)
-    found = archive.calibrations.sightings_of("a")
+    found = archive.calibrations.sightings_given_to("a")
     assert found.body.tolist() == ["sun", "star:HIP11767"]
     assert found.ids.tolist() == columns.ids.tolist()

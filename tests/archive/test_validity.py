@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from sqlalchemy import Connection, create_engine, insert, select
 
-from sunarc.imager.archive.calibration_rows import clear_interval, end_others, set_columns, with_interval
+from sunarc.imager.archive.calibration_rows import apply_row_interval, clear_interval, end_others, set_columns
 from sunarc.imager.archive.database.tables import calibration, camera, metadata
 from sunarc.imager.archive.values import CalibrationRecord
 
@@ -147,7 +147,7 @@ def test_a_document_says_what_the_archive_decided() -> None:
         id="a", camera=ROOF.name, state="retired", method="robust", created_at=NOON, valid_from=hour(1),
         valid_until=hour(2), pose_epoch=None, parent=None, accepted=True, findings=(), document=document,
     )  # fmt: skip
-    decided = with_interval(record).document
+    decided = apply_row_interval(record).document
     assert (decided["state"], decided["valid_from"], decided["valid_until"]) == (
         "retired", "2013-05-13T19:30:00Z", "2013-05-13T20:30:00Z",
     )  # fmt: skip

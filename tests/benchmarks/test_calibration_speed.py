@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 
 from sunarc.calibration.answers.direction_table import back_projection_map, lookup
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.fit.marginal_likelihood import Scales, prior_precision
+from sunarc.calibration.fit.marginal_likelihood import PriorScales, prior_precision
 from sunarc.calibration.fit.normal_equations import linear_system, most_probable_with_field
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
@@ -40,7 +40,7 @@ TRUTH = Camera(
     radial=(-0.013, 0.0, 0.0222, 0.0, -0.0086, 0.0, 0.0, 0.0),
     decentering=(1.5e-4, -1.9e-4, 0.0, 0.0),
 )
-NO_FIELD = Scales(1e-6, 420.0, 2.0, 0.7)
+NO_FIELD = PriorScales(1e-6, 420.0, 2.0, 0.7)
 
 
 @pytest.fixture(scope="module")

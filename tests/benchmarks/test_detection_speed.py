@@ -10,7 +10,7 @@ from tests.detection.photographs import sky
 from tests.detection.rendering import Image, Scene, equisolid_stretch, render
 
 from sunarc.detection.disc.detect import detect_sun
-from sunarc.detection.photo.urquhart2016 import locate, planes_of
+from sunarc.detection.photo.urquhart2016 import locate, split_planes
 from sunarc.detection.values import Expectation, Sensor
 
 
@@ -34,6 +34,6 @@ def test_the_papers_estimators_on_a_1748_colour_image(benchmark: Any, full_image
     image = sky(x=1100.0, y=700.0, radius=25.0, size=1748)
 
     def look() -> Any:  # noqa: ANN401 - handed on
-        return locate(planes_of(image, full_scale=4095), apparent_zenith=0.8, full_image=full_image)
+        return locate(split_planes(image, full_scale=4095), apparent_zenith=0.8, full_image=full_image)
 
     assert benchmark.pedantic(look, rounds=3 if full_image else 10).position == pytest.approx((1100.0, 700.0), abs=1.5)

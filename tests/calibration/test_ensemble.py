@@ -14,10 +14,10 @@ from sunarc.calibration.answers.covariance import hemisphere, project_with_covar
 from sunarc.calibration.answers.error_model import (
     MOST_DRAWS,
     Ensemble,
+    build_error_model,
     covariance_root,
     draw_ensemble,
     draw_errors,
-    error_model_of,
     joint_covariance,
     predicted,
 )
@@ -79,7 +79,7 @@ def test_errors_of_two_places_are_correlated_as_in_the_joint_gaussian(
     calibration: Calibration, errors_px: FloatArray
 ) -> None:
     few = np.array([0, 1, 30, 31, 70, 104])
-    errors = error_model_of(calibration)
+    errors = build_error_model(calibration)
     expected = joint_covariance(errors, predicted(errors, calibration.camera, SKY[few]))
     flat = errors_px[:, few].reshape(DRAWS, -1)
     sigma = np.sqrt(np.diag(expected))
@@ -91,7 +91,7 @@ def test_errors_of_two_places_are_correlated_as_in_the_joint_gaussian(
 
 def test_a_displacement_is_the_derivatives_times_the_errors_and_the_field(calibration: Calibration) -> None:
     made = draw_ensemble(calibration, draws=3, seed=5, calibration_id="a")
-    errors = error_model_of(calibration)
+    errors = build_error_model(calibration)
     size = errors.mean.size + 2 * errors.variances.size
     seeds = [int.from_bytes(hashlib.sha256(b"a").digest()[:8], "big"), 5]
     parameters, coefficients = draw_errors(

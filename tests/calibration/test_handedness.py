@@ -175,13 +175,13 @@ def _day_and_sunrise(*, n_of_day: int, pose: int) -> Sightings:
 def test_the_other_latitude_is_asked_about_by_sightings_that_can_be_fitted(
     monkeypatch: pytest.MonkeyPatch, n_of_day: int, pose: int, n_fits: int
 ) -> None:
-    fit_of_hand, fits = handedness.fit_of_hand, list[Job]()
+    fit_of_hand, fits = handedness.fit_handedness, list[Job]()
 
     def noting(job: Job, hand: Hand, *, than: float) -> Fitted | None:
         fits.append(job)
         return fit_of_hand(job, hand, than=than)
 
-    monkeypatch.setattr(handedness, "fit_of_hand", noting)
+    monkeypatch.setattr(handedness, "fit_handedness", noting)
     options = CalibrationOptions(projection="equisolid", mirrored="yes")
     calibrate(_day_and_sunrise(n_of_day=n_of_day, pose=pose), site=NORTH, image_size=SIZE, options=options)
     of_south = [job for job in fits if job.site.latitude < 0.0]

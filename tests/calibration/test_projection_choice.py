@@ -17,7 +17,7 @@ from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.projection_choice import (
     ProjectionChoice,
-    _with_differences,
+    _add_differences,
     compare_projections,
     options_as_served,
 )
@@ -159,7 +159,7 @@ def served() -> Calibration:
 @pytest.mark.parametrize("max_deg", [5.0, 30.0, 60.0])
 def test_sky_that_another_lens_does_not_image_is_a_large_difference(served: Calibration, max_deg: float) -> None:
     narrow = replace(served.camera, max_angle=math.radians(max_deg))
-    widened, off_deg = _with_differences(served, [narrow])
+    widened, off_deg = _add_differences(served, [narrow])
     assert 20.0 < off_deg < 90.0
     assert widened.sky_rms_deg > 10.0
 
@@ -168,17 +168,17 @@ def test_the_rim_that_another_lens_does_not_image_is_left_out(served: Calibratio
     angles = pose_angles(served.camera.rotation_cam_enu)
     off = angles._replace(phi_xz_deg=angles.phi_xz_deg + 1.0)
     turned = replace(served.camera, rotation_cam_enu=rotation_from_pose_angles(off))
-    _, whole = _with_differences(served, [turned])
-    _, cut = _with_differences(served, [replace(turned, max_angle=math.radians(86.0))])
+    _, whole = _add_differences(served, [turned])
+    _, cut = _add_differences(served, [replace(turned, max_angle=math.radians(86.0))])
     assert whole == pytest.approx(cut, rel=0.05)
     assert whole == pytest.approx(1.0 * math.sqrt(2.0 / 3.0), rel=0.2)
 
 
 def test_a_lens_that_images_nothing_makes_no_number_unknown(served: Calibration) -> None:
     blind = replace(served.camera, max_angle=1e-9)
-    widened, off_deg = _with_differences(served, [blind])
+    widened, off_deg = _add_differences(served, [blind])
     assert 20.0 < off_deg < 90.0
     assert math.isfinite(widened.sky_rms_deg)
-    same, none = _with_differences(served, [served.camera])
+    same, none = _add_differences(served, [served.camera])
     assert none == pytest.approx(0.0, abs=1e-6)
     assert same.sky_rms_deg == pytest.approx(served.sky_rms_deg)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sunarc.calibration.selection import image_parts, sky_parts, surest_of_parts
+from sunarc.calibration.selection import image_parts, pick_surest_in_parts, sky_parts
 
 
 def test_the_parts_of_an_image_have_equal_areas() -> None:
@@ -26,12 +26,12 @@ def test_the_parts_of_the_sky_have_equal_areas() -> None:
 def test_the_surest_of_each_part_come_first_then_the_next_of_each() -> None:
     part = np.array([0, 0, 0, 1, 1, 2])
     sigma = np.array([0.3, 0.1, 0.2, 0.5, 0.4, 0.9])
-    assert surest_of_parts(part, sigma, 3).tolist() == [1, 4, 5]
-    assert surest_of_parts(part, sigma, 4).tolist() == [1, 2, 4, 5]
-    assert surest_of_parts(part, sigma, 5).tolist() == [1, 2, 3, 4, 5]
-    assert surest_of_parts(part, sigma, 99).tolist() == [0, 1, 2, 3, 4, 5]
-    assert surest_of_parts(part, sigma, 0).tolist() == []
-    assert surest_of_parts(part[:0], sigma[:0], 5).tolist() == []
+    assert pick_surest_in_parts(part, sigma, 3).tolist() == [1, 4, 5]
+    assert pick_surest_in_parts(part, sigma, 4).tolist() == [1, 2, 4, 5]
+    assert pick_surest_in_parts(part, sigma, 5).tolist() == [1, 2, 3, 4, 5]
+    assert pick_surest_in_parts(part, sigma, 99).tolist() == [0, 1, 2, 3, 4, 5]
+    assert pick_surest_in_parts(part, sigma, 0).tolist() == []
+    assert pick_surest_in_parts(part[:0], sigma[:0], 5).tolist() == []
 
 
 def test_a_part_is_one_of_four_rings_of_one_of_twelve_sectors() -> None:

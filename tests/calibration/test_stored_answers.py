@@ -40,8 +40,8 @@ from sunarc.calibration.quality.day_quality import decide_day, measure_day
 from sunarc.calibration.quality.first_motion import site_contradiction
 from sunarc.calibration.quality.fit_checks import JudgedFit
 from sunarc.calibration.quality.tilt import tilt_question
-from sunarc.calibration.quality.widening import with_pose_spread
-from sunarc.calibration.selection import SelectionOptions, select_sightings, surest_of_epochs
+from sunarc.calibration.quality.widening import add_pose_spread
+from sunarc.calibration.selection import SelectionOptions, pick_surest_in_epochs, select_sightings
 from sunarc.calibration.stated_prior import PriorTolerances, calibrate_with_prior
 from sunarc.calibration.verdict import UNCERTAIN, UNEXPLAINED, accept, before_fit, findings, fit_verdict, provisional
 from sunarc.changes.daily_rotations import (
@@ -52,7 +52,7 @@ from sunarc.changes.daily_rotations import (
     find_change,
     step_gains,
 )
-from sunarc.changes.online import details_of, update_window
+from sunarc.changes.online import change_details, update_window
 from sunarc.changes.record import jumps_within_days, line_misses, night_changes
 from sunarc.changes.values import Sighting, SightingWindow, WatchOptions
 from sunarc.optics.backward import fit_backward
@@ -60,7 +60,7 @@ from sunarc.optics.forward import project
 from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_directions
-from sunarc.stars.blind_start import NightDetections, blind_start, with_clock_error
+from sunarc.stars.blind_start import NightDetections, add_star_clock_error, blind_start
 
 FloatArray = NDArray[np.float64]
 Numbers = Mapping[str, Sequence[object]]
@@ -140,8 +140,8 @@ def _compared(given: Given) -> Numbers:
             apart_sigmas(given.fit, later),
             chi_square(later, points, 0.5),
             *spread,
-            with_pose_spread(given.fit, spread).sky_rms_deg,
-            with_clock_error(given.fit, 2.0, limit_deg=0.5).sky_rms_deg,
+            add_pose_spread(given.fit, spread).sky_rms_deg,
+            add_star_clock_error(given.fit, 2.0, limit_deg=0.5).sky_rms_deg,
             *_sigmas(1e6 * pose_error(given.fit.camera, SGP, clock_error_s=1.5, site_error_m=300.0)),
         ],
     }
@@ -286,7 +286,7 @@ def _change(given: Given) -> Numbers:
 
 def _changed(change: PoseChange) -> Numbers:
     times = [change.time, *change.bracket]
-    said = details_of(change)
+    said = change_details(change)
     since = [(each - NOON_13_MAY_2013 - _DAY_S) / 60.0 for each in times]
     return {
         "codes": [*(said[key] for key in ("kind", "unit", "agreeing", "of", "perhaps")), *np.round(since).tolist()],
@@ -322,7 +322,7 @@ def _selected(_: Given) -> Numbers:
         unix_s=times, pixels=rng.uniform(0.0, 1748.0, (times.size, 2)), sigma_px=rng.uniform(0.02, 0.5, times.size)
     )
     chosen = select_sightings(points, site=SGP, options=SelectionOptions(patch_deg=4.0, most=1500))
-    stars = surest_of_epochs(points.pixels[:900], points.sigma_px[:900], np.repeat([0, 1, 2], 300), SIZE)
+    stars = pick_surest_in_epochs(points.pixels[:900], points.sigma_px[:900], np.repeat([0, 1, 2], 300), SIZE)
     still = np.concatenate([points.pixels[:300], np.full((60, 2), 500.0) + rng.normal(0.0, 0.05, (60, 2))])
     seen = sun_directions(times[:360], SGP)
     static = static_sightings(still, seen, np.zeros(360, dtype=np.int64))

@@ -14,17 +14,17 @@ from sunarc.common.errors import CameraError, CameraTimeoutError, InputError
 from sunarc.imager.cameras.aravis import (
     ExposureControl,
     NotedExposure,
+    decode_frame,
     event_setter,
     exposure_control,
     follows,
-    image_of,
     incomplete,
     require_exposure,
     wait_for_last_reference,
 )
 from sunarc.imager.cameras.features import Link, buffer_limit, route_mtu
-from sunarc.imager.cameras.frame import CameraInfo, full_scale_of, middle_of_exposure
-from sunarc.imager.cameras.options import AravisOptions, utc_of_timestamp
+from sunarc.imager.cameras.frame import CameraInfo, exposure_middle, largest_count
+from sunarc.imager.cameras.options import AravisOptions, timestamp_to_utc
 from sunarc.imager.cameras.packed import pack
 from sunarc.imager.runtime.clock import VirtualClock
 from sunarc.imaging.exposure import ExposureBounds
@@ -33,7 +33,7 @@ from sunarc.imaging.exposure import ExposureBounds
 def info(pixel_format: str, *, width: int = 6, height: int = 4) -> CameraInfo:
     return CameraInfo(
         address="192.0.2.7", vendor="v", model="m", serial="s", width=width, height=height, pixel_format=pixel_format,
-        full_scale=full_scale_of(pixel_format), exposure_min_us=10.0, exposure_max_us=1e6, exposure_step_us=1.0,
+        full_scale=largest_count(pixel_format), exposure_min_us=10.0, exposure_max_us=1e6, exposure_step_us=1.0,
     )  # fmt: skip
 
 
@@ -78,7 +78,7 @@ def test_a_noted_exposure_is_within_a_microsecond_or_a_hundredth(noted: float, a
 def test_a_frames_bytes_are_its_counts(pixel_format: str) -> None:
     depth = np.uint8 if pixel_format == "Mono8" else np.uint16
     counts = np.arange(24).reshape(4, 6).astype(depth)
-    found = image_of(counts.tobytes() + b"trailer", info(pixel_format))
+    found = decode_frame(counts.tobytes() + b"trailer", info(pixel_format))
     assert found.dtype == depth
     assert (found == counts).all()
     assert not found.flags.writeable
@@ -87,16 +87,16 @@ def test_a_frames_bytes_are_its_counts(pixel_format: str) -> None:
 @pytest.mark.parametrize(("pixel_format", "packing"), [("Mono12p", "12p"), ("Mono10Packed", "10Packed")])
 def test_a_packed_frame_is_unpacked_and_cannot_be_written(pixel_format: str, packing: str) -> None:
     counts = np.arange(24, dtype=np.uint16).reshape(4, 6) * 40
-    found = image_of(pack(counts, packing), info(pixel_format))
+    found = decode_frame(pack(counts, packing), info(pixel_format))
     assert (found == counts).all()
     assert not found.flags.writeable
 
 
 @pytest.mark.parametrize(("pixel_format", "needed"), [("Mono8", 24), ("Mono12", 48), ("Mono12p", 36), ("Mono10p", 30)])
 def test_a_frame_that_was_cut_short_is_refused(pixel_format: str, needed: int) -> None:
-    assert image_of(bytes(needed), info(pixel_format)).shape == (4, 6)
+    assert decode_frame(bytes(needed), info(pixel_format)).shape == (4, 6)
     with pytest.raises(CameraError):
-        image_of(bytes(needed - 1), info(pixel_format))
+        decode_frame(bytes(needed - 1), info(pixel_format))
 
 
 @pytest.mark.parametrize(("status", "lost"), [("timeout", True), ("missing-packets", True), ("wrong-packet-id", False)])
@@ -109,13 +109,13 @@ def test_a_buffer_without_all_its_packets_is_a_timeout(status: str, *, lost: boo
 )
 def test_a_format_that_is_not_one_channel_has_no_full_scale(pixel_format: str) -> None:
     with pytest.raises(InputError) as error:
-        full_scale_of(pixel_format, field="camera.pixel_format")
+        largest_count(pixel_format, field="camera.pixel_format")
     assert error.value.field == "camera.pixel_format"
 
 
 def test_the_middle_of_an_exposure_is_half_of_it_later() -> None:
     start = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
-    assert (middle_of_exposure(start, 48_000.0) - start).total_seconds() == 0.024
+    assert (exposure_middle(start, 48_000.0) - start).total_seconds() == 0.024
 
 
 @pytest.mark.parametrize(
@@ -124,7 +124,7 @@ def test_the_middle_of_an_exposure_is_half_of_it_later() -> None:
 def test_a_timestamp_is_utc_by_its_scale_and_offset(scale: Any, offset_s: float, seconds: float) -> None:  # noqa: ANN401 - a word
     options = AravisOptions(address="192.0.2.7", timestamp_scale=scale, timestamp_offset_s=offset_s)
     at = datetime(2026, 11, 22, 5, 0, 0, 250_000, tzinfo=UTC)
-    found = utc_of_timestamp(round(at.timestamp() * 1e6) * 1000 + 999, options)
+    found = timestamp_to_utc(round(at.timestamp() * 1e6) * 1000 + 999, options)
     assert (found - at).total_seconds() == pytest.approx(seconds)
 
 

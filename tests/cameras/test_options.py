@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from sunarc.common.errors import InputError
-from sunarc.imager.cameras.frame import full_scale_of
+from sunarc.imager.cameras.frame import largest_count
 from sunarc.imager.cameras.options import AravisOptions, ReplayOptions
 
 
@@ -47,4 +47,4 @@ def test_wrong_replays_are_refused() -> None:
     [("Mono8", 255), ("Mono10", 1023), ("BayerRG12", 4095), ("Mono14", 16_383), ("BayerGB16", 65_535)],
 )
 def test_full_scale_is_that_of_the_depth(pixel_format: str, full_scale: int) -> None:
-    assert full_scale_of(pixel_format) == full_scale
+    assert largest_count(pixel_format) == full_scale

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sunarc.imager.cameras.frame import full_scale_of
-from sunarc.imager.cameras.packed import pack, packed_bytes, packing_of, unpack
+from sunarc.imager.cameras.frame import largest_count
+from sunarc.imager.cameras.packed import pack, packed_bytes, packed_layout, unpack
 
 FORMATS = ["Mono10p", "Mono12p", "Mono10Packed", "Mono12Packed"]
 
@@ -33,16 +33,16 @@ def packed_by_bits(values: list[int], pixel_format: str) -> bytes:
     for pixel, value in enumerate(values):
         for k, place in enumerate(places(pixel_format, pixel)):
             bits[place] = value >> k & 1
-    last = packed_bytes(packing_of(pixel_format) or "", len(values))
+    last = packed_bytes(packed_layout(pixel_format) or "", len(values))
     return np.packbits(bits, bitorder="little").tobytes()[:last]
 
 
 @pytest.mark.parametrize("pixel_format", FORMATS)
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 7, 8, 997])
 def test_packed_pixels_are_those_of_the_standard_s_bits(pixel_format: str, count: int) -> None:
-    full_scale = full_scale_of(pixel_format)
+    full_scale = largest_count(pixel_format)
     values = np.random.default_rng(count).integers(0, full_scale + 1, count)
-    packing = packing_of(pixel_format)
+    packing = packed_layout(pixel_format)
     assert packing is not None
     data = packed_by_bits(values.tolist(), pixel_format)
     assert unpack(data + b"\xff\xff", packing, count).tolist() == values.tolist()
@@ -60,9 +60,9 @@ def test_known_bytes_of_the_standards() -> None:
     [("Mono12p", "12p"), ("BayerRG12Packed", "12Packed"), ("BayerGB10p", "10p"), ("Mono12", None), ("Mono8", None)],
 )
 def test_packed_formats_are_known_by_their_names(pixel_format: str, packing: str | None) -> None:
-    assert packing_of(pixel_format) == packing
+    assert packed_layout(pixel_format) == packing
 
 
 @pytest.mark.parametrize(("pixel_format", "full_scale"), [("Mono10Packed", 1023), ("BayerRG12p", 4095)])
 def test_the_full_scale_is_that_of_the_depth(pixel_format: str, full_scale: int) -> None:
-    assert full_scale_of(pixel_format) == full_scale
+    assert largest_count(pixel_format) == full_scale

@@ -15,8 +15,8 @@ import pytest
 from sunarc.common.errors import CameraLostError, InputError
 from sunarc.imager.cameras.frame import SkyCamera
 from sunarc.imager.cameras.options import ReplayOptions
-from sunarc.imager.cameras.replay import open_replay, time_of_name
-from sunarc.sources.image_times import exposure_of_name
+from sunarc.imager.cameras.replay import open_replay, parse_name_time
+from sunarc.sources.image_times import parse_name_exposure
 
 
 def write(folder: Path, name: str, level: int = 7, shape: tuple[int, ...] = (4, 6), depth: type = np.uint8) -> None:
@@ -112,11 +112,11 @@ def test_a_closed_replay_gives_nothing(tmp_path: Path) -> None:
     ],
 )
 def test_times_are_read_from_names(name: str, time: datetime | None) -> None:
-    assert time_of_name(name) == time
+    assert parse_name_time(name) == time
 
 
 @pytest.mark.parametrize(
     ("name", "exposure_us"), [("a_48000us.png", 48_000.0), ("a_2.5us_x.png", 2.5), ("48us.png", None)]
 )
 def test_exposures_are_read_from_names(name: str, exposure_us: float | None) -> None:
-    assert exposure_of_name(name) == exposure_us
+    assert parse_name_exposure(name) == exposure_us

@@ -17,7 +17,7 @@ from sunarc.changes.values import ChangeKind
 from sunarc.cli.codes import Code, all_codes, codes_as_markdown
 from sunarc.common.findings import Finding
 from sunarc.imager.archive.database.recovery import Recovered
-from sunarc.imager.archive.values import RefitState, code_of_event
+from sunarc.imager.archive.values import RefitState, event_code
 
 if TYPE_CHECKING:
     from tests.fixtures.command_line import Sunarc
@@ -196,12 +196,12 @@ def test_every_event_is_made_of_a_finding() -> None:
 
 @pytest.mark.parametrize("kind", get_args(ChangeKind))
 def test_a_stored_change_has_the_code_of_its_kind(kind: str) -> None:
-    assert code_of_event(kind, {}) == f"changed_{kind}" in {one.code for one in all_codes()}
+    assert event_code(kind, {}) == f"changed_{kind}" in {one.code for one in all_codes()}
 
 
 def test_a_stored_move_that_a_search_found_has_the_code_of_the_search() -> None:
-    assert code_of_event("bump", {"searched": True}) == "pose_changed"
-    assert code_of_event("clock_step", {"searched": True}) == "clock_step"
+    assert event_code("bump", {"searched": True}) == "pose_changed"
+    assert event_code("clock_step", {"searched": True}) == "clock_step"
 
 
 @pytest.mark.parametrize("code", sorted({one.code for one in all_codes()}))

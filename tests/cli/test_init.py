@@ -24,9 +24,9 @@ import pytest
 from tests.fixtures.rtsp_camera import RtspCamera
 
 from sunarc.common.findings import Finding, FindingError
-from sunarc.common.messages import message_of
+from sunarc.common.messages import find_message
 from sunarc.detection.values import Detection
-from sunarc.imager.checks import CheckResult, question_of, run_checks
+from sunarc.imager.checks import CheckResult, init_option, run_checks
 from sunarc.imager.commands.first_look import TriedPicture, judge_site
 from sunarc.imager.runtime.clock import SystemClock
 from sunarc.imager.settings.load import load_settings
@@ -148,7 +148,7 @@ def test_wrong_input_is_one_line_with_a_code_and_nothing_is_written(
     assert answer.err.count("\n") == 1
     assert answer.err.startswith(f"sunarc: {field}: ")
     assert answer.err.endswith(f"[{code}]\n")
-    assert message_of(code) is not None
+    assert find_message(code) is not None
     assert not file.exists()
 
 
@@ -268,8 +268,8 @@ def test_every_complaint_of_check_about_what_was_asked_names_the_option(tmp_path
     silent = {"settings", "versions"}
     for result in run_checks(load_settings(file), clock=SystemClock()):
         complaint = result._replace(outcome="fail")
-        assert (question_of(complaint) is None) == (result.what in silent), result.what
-    assert question_of(CheckResult("port", "ok", "")) is None
+        assert (init_option(complaint) is None) == (result.what in silent), result.what
+    assert init_option(CheckResult("port", "ok", "")) is None
 
 
 def test_a_missing_setting_says_that_init_asks_for_it(sunarc: Sunarc, tmp_path: Path) -> None:

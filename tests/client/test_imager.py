@@ -23,7 +23,7 @@ from sunarc.formats.calibration_document import from_document
 from sunarc.imager.archive.archive import open_archive
 from sunarc.imager.archive.images import ImageStore
 from sunarc.imager.runtime.clock import VirtualClock
-from sunarc.imager.runtime.status import StatusRegistry, condition, condition_of
+from sunarc.imager.runtime.status import StatusRegistry, condition, make_condition
 from sunarc.imager.web.app import create_app
 from sunarc.imager.web.options import ApiOptions
 
@@ -171,7 +171,7 @@ def test_conditions_come_with_code_severity_and_data(imager: Imager, board: Stat
     assert imager.conditions() == ()
     low = condition("disk_low", folder="/var", free_mb=812.0, images_mb=90_000.0)
     board.set_condition("disk_low", low)
-    board.set_condition("worker_stuck_web", condition_of("worker_stuck", "web", severity="not_ready", limit_s=60.0))
+    board.set_condition("worker_stuck_web", make_condition("worker_stuck", "web", severity="not_ready", limit_s=60.0))
     first, second = imager.conditions()
     assert first == (
         "disk_low",

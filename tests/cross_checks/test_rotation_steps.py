@@ -12,7 +12,7 @@ from tests.cross_checks.cameras import Wrong, neighbours
 from sunarc.calibration.evidence import DAYS as LIMITS
 from sunarc.calibration.model.pose_change import PoseChange
 from sunarc.changes.daily_rotations import DailyRotations, daily_rotations
-from sunarc.changes.fleet import agreeing, explain_step, find_steps, rotation_of_site, step_sizes
+from sunarc.changes.fleet import agreeing, explain_step, find_steps, site_rotation, step_sizes
 from sunarc.common.array_types import FloatArray, picked
 from sunarc.sky.site import Site, pole_enu
 from sunarc.sky.sun import sun_directions
@@ -87,7 +87,7 @@ def test_a_restated_site_turns_a_camera_as_it_turns_the_sun() -> None:
     after = Site(latitude=SITE.latitude + 0.02, longitude=SITE.longitude - 0.03)
     unix_s = 1.78e9 + np.linspace(-1e4, 1e4, 50)
     before = sun_directions(unix_s, SITE)
-    turned = Rotation.from_rotvec(rotation_of_site(SITE, after), degrees=True).apply(before)
+    turned = Rotation.from_rotvec(site_rotation(SITE, after), degrees=True).apply(before)
     assert np.degrees(np.linalg.norm(turned - sun_directions(unix_s, after), axis=1)).max() < 2e-4
 
 

@@ -11,7 +11,7 @@ from tests.finding_codes import codes
 
 from sunarc import detection
 from sunarc.common.findings import Finding, joined
-from sunarc.common.messages import message_of
+from sunarc.common.messages import find_message
 from sunarc.detection.disc.series import beside, combine
 from sunarc.detection.values import Detection, Verdict
 
@@ -85,7 +85,7 @@ def given_data() -> dict[str, set[str]]:
 
 @pytest.mark.parametrize("code", sorted(given_data()))
 def test_the_data_of_a_code_are_those_of_its_sentence(code: str) -> None:
-    message = message_of(code)
+    message = find_message(code)
     assert message is not None
     fields = {name for _, name, _, _ in Formatter().parse(message.text) if name}
     assert given_data()[code] == fields

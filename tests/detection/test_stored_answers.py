@@ -25,7 +25,7 @@ from sunarc.detection.disc.series import combine
 from sunarc.detection.exposure_stack import detect_sun_in_stack
 from sunarc.detection.moon import MoonExpectation, detect_moon
 from sunarc.detection.photo.ordinary_image import Photo, detect_sun_in_photo
-from sunarc.detection.photo.urquhart2016 import locate, planes_of
+from sunarc.detection.photo.urquhart2016 import locate, split_planes
 from sunarc.detection.stars.detect import detect_stars
 from sunarc.detection.stars.matching import match_stars, share_where_clear
 from sunarc.detection.stars.photometry import star_halo
@@ -88,7 +88,7 @@ def _stack(what: Series) -> Detection:
 
 def _five_estimators() -> Answer:
     picture = photograph(Photograph(size=480, smear=0.3), np.random.default_rng(6))
-    found = locate(planes_of(picture, full_scale=255), apparent_zenith=math.radians(40.0))
+    found = locate(split_planes(picture, full_scale=255), apparent_zenith=math.radians(40.0))
     assert found is not None
     return {
         "places": [*found.position, *found.columns, *found.rows],

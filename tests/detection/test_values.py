@@ -10,7 +10,7 @@ import pytest
 
 from sunarc.common.array_types import Image
 from sunarc.common.errors import InputError
-from sunarc.detection.values import DiscOptions, Expectation, Sensor, bayer_of, require_raw
+from sunarc.detection.values import DiscOptions, Expectation, Sensor, bayer_pattern, require_raw
 
 STRETCH = ((565.0, 0.0), (0.0, 640.0))
 
@@ -86,7 +86,7 @@ def test_a_prediction_may_be_certain_and_beyond_the_image() -> None:
     ],
 )
 def test_colours_of_a_pixel_format(pixel_format: str, bayer: str | None) -> None:
-    assert bayer_of(pixel_format) == bayer
+    assert bayer_pattern(pixel_format) == bayer
 
 
 @pytest.mark.parametrize("value", [-1.0, 1.1e6, math.nan, math.inf])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from tests.fixtures.calibration import current_document, distinctive_calibration
 
-from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance, with_covariance
+from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance, replace_covariance
 from sunarc.calibration.model.residual_field import Field
 from sunarc.calibration.model.result import ErrorMixture, distances_holding
 from sunarc.common.errors import InputError
@@ -164,7 +164,7 @@ def test_a_covariance_with_further_errors_has_a_mixture_that_is_nearer_to_a_gaus
     covariance = made.covariance.copy()
     pose = slice(5, 8)
     covariance[pose, pose] += 100.0 * np.max(np.abs(covariance)) * np.eye(3)
-    found = with_covariance(made, covariance)
+    found = replace_covariance(made, covariance)
     assert found.mixture is not None
     assert np.all(np.abs(found.mixture.scales - 1.0) < np.abs(MIXTURE.scales - 1.0))
-    assert with_covariance(replace(made, mixture=None), covariance).mixture is None
+    assert replace_covariance(replace(made, mixture=None), covariance).mixture is None

@@ -22,17 +22,17 @@ from tests.exports.conftest import LENS, FloatArray, document_of
 
 from sunarc.calibration.answers.direction_table import BackProjectionMap
 from sunarc.common.errors import InputError
-from sunarc.formats.asi_core import asi_core_yaml, mask_files, mask_of
+from sunarc.formats.asi_core import asi_core_mask, asi_core_yaml, mask_files
 from sunarc.formats.exported import Table, Variable
 from sunarc.formats.fisheye import fisheye_model, fisheye_view, pixels_of_rays
 from sunarc.formats.formats import FORMATS, export
 from sunarc.formats.mrcal import cameramodel, spline_bending, spline_weights, splined_model, splined_view
 from sunarc.formats.ocam import ocam_model
 from sunarc.formats.tables import every_nth, netcdf_bytes, npz_bytes
-from sunarc.formats.view import camera_view, compare, sky_of
+from sunarc.formats.view import camera_sky, camera_view, compare
 from sunarc.optics.camera import Camera
 
-SKY = sky_of(LENS, within=math.radians(80.0))
+SKY = camera_sky(LENS, within=math.radians(80.0))
 
 
 def test_the_projection_is_opencvs(camera: Camera) -> None:
@@ -148,7 +148,7 @@ def test_the_mask_is_one_down_to_the_horizon_and_zero_below_and_outside(tmp_path
     found = BackProjectionMap(
         zenith_deg=zenith, azimuth_deg=none, directions=directions, sigma_deg=none, inside=np.isfinite(zenith)
     )
-    files = mask_files(mask_of(found), stem="roof")
+    files = mask_files(asi_core_mask(found), stem="roof")
     path = tmp_path / "mask.mat"
     path.write_bytes(files["roof_mask.mat"])
     assert scipy.io.loadmat(str(path))["Mask"][0][0][0].tolist() == [[1, 1, 1], [0, 0, 1]]

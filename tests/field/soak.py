@@ -38,7 +38,7 @@ from sunarc.imager.workers.clock_watch import FrameTime
 from sunarc.imager.workers.exposures import SunExposures
 from sunarc.imager.workers.options import CaptureOptions
 from sunarc.imaging.exposure import SunExposureOptions
-from sunarc.lab.simulation.imager import ImagerOptions, scene_of
+from sunarc.lab.simulation.imager import ImagerOptions, make_scene
 
 ADDRESS = "127.0.0.1"
 START = datetime(2013, 5, 13, 22, 40, tzinfo=UTC)
@@ -129,7 +129,7 @@ class Soak:
         self.random = random.Random(seed)
         self.stop = threading.Event()
         self.outcome = Outcome()
-        self.scene = scene_of(ImagerOptions(**imager_settings(), start=START))
+        self.scene = make_scene(ImagerOptions(**imager_settings(), start=START))
         self.cycles: DropOldestQueue[Sequence[Frame]] = DropOldestQueue(capacity=50)
         self.sun_frames: DropOldestQueue[Frame] = DropOldestQueue(capacity=200)
         self.board = StatusRegistry(version="soak", started_at=START, monotonic=self.clock.monotonic)

@@ -60,7 +60,7 @@ from sunarc.imager.archive.feed_rows import FeedRow, feed_lines, read_feed_lines
 from sunarc.imager.settings.load import load_hub_settings, load_settings
 from sunarc.imager.web.arrays import read_rows
 from sunarc.imager.workers.night.images import WarmPixelFile
-from sunarc.imaging.metadata import document_of, jpeg_with, png_with
+from sunarc.imaging.metadata import embedded_document, jpeg_with, png_with
 from sunarc.lab.studies.benchmark_cases import BenchmarkTruth
 from sunarc.lab.studies.benchmark_files import read_case, read_entry
 from sunarc.lab.studies.benchmark_scores import score
@@ -68,7 +68,7 @@ from sunarc.public.calibrate_files import read_joint_spec
 from sunarc.sky.site import Site
 from sunarc.sources.files import read_image, read_lines
 from sunarc.sources.fits_files import fits_bayer, fits_frame, fits_image, fits_site
-from sunarc.sources.image_files import checked_image, image_of
+from sunarc.sources.image_files import checked_image, read_one_image
 from sunarc.sources.image_times import TimeRules, exif_time, sidecar_time, timed_frames
 from sunarc.sources.index import CameraPlan, Selector, read_cameras
 from sunarc.sources.look import PackedMask
@@ -385,7 +385,7 @@ def archive_readers(image: NDArray[np.uint8]) -> list[Reader]:
     cameras = b'[cameras.roof]\nlatitude = 1.0\nlongitude = 2.0\naltitude = 3.0\nsources = ["a"]\nsize = [8, 6]\n'
     common = CameraPlan(name="a", site=Site(latitude=1.0, longitude=2.0), selector=Selector(sources=("a",)))
     return [
-        Reader("document-in-image", pictures, lambda content, _: document_of(content)),
+        Reader("document-in-image", pictures, lambda content, _: embedded_document(content)),
         Reader("exif", (tagged.getvalue(),), lambda content, _: exif_time(io.BytesIO(content))),
         Reader("sidecar", (json.dumps(said).encode(),), lambda content, _: sidecar_time(content, "a", None)),
         Reader("cameras", (cameras,), at_path("cameras.toml", lambda p: read_cameras(p, common=common))),
@@ -474,7 +474,7 @@ def in_folder(name: str) -> Callable[[bytes, Path], object]:
         (folder / name).write_bytes(content)
         source = open_source(str(folder))
         timed_frames(source, name, TimeRules(offset=timedelta(0)), names=())
-        found = image_of(source, name)
+        found = read_one_image(source, name)
         if isinstance(found, Finding):
             raise FindingError(name, found)
         return found

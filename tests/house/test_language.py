@@ -19,6 +19,16 @@ PHRASES = re.compile(r"\bgiven up\b", re.IGNORECASE)
 KEPT = {
     "worker_hindered": "the code of a condition, which dashboards and alert rules outside know",
 }
+BARE = re.compile(r"_?of|_?of_\w+|\w+_of|_?with_\w+")
+"""Names that say neither the noun nor what is done: `x_of`, `_of_x`, `with_x`."""
+KEPT_NAMES = {
+    "client/xarray_accessor.py: with_directions",  # programs outside call them
+    "client/xarray_accessor.py: with_positions",
+    "formats/fisheye.py: parameters_of",  # within a function
+    "formats/view.py: parameters_of",
+    "formats/virtualsky.py: pixels_of",
+    "formats/virtualsky.py: directions_of",
+}
 DOCUMENTS = (
     "README.md",
     "docs/architecture.md",
@@ -76,6 +86,16 @@ def test_first_lines_begin_with_the_noun_and_no_text_has_a_phrase_of_no_textbook
     found = figures.prose(figures.modules())
     assert found["first lines with a relative what, %"] <= MOST_RELATIVE_WHAT
     assert (found["phrases in docstrings"], found["phrases in pages by hand"]) == (0, 0)
+
+
+def test_no_function_is_named_by_of_or_with_alone(sources: dict[str, str]) -> None:
+    found = {
+        f"{name}: {node.name}"
+        for name, text in sources.items()
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and BARE.fullmatch(node.name)
+    }
+    assert found == KEPT_NAMES
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ APART = {
     "sunarc.cli.commands": "what the entry points name",
     "sunarc.cli.main": "what the console script calls; `python -m sunarc` calls it too",
     "sunarc.imager.live.resized_pictures": "counts pictures, without files; its reader is a worker",
-    "sunarc.imager.workers.calibrating.pose_conditions": "which conditions hold, without a loop; its reader is a worker",
+    "sunarc.imager.workers.calibrating.pose_conditions": "conditions without a loop; its reader is a worker",
     "sunarc.imager.workers.cycles": "of the core, which computes; its reader is a worker",
     "sunarc.imager.workers.night.gain": "a camera's gain by night, without the cycle; its reader is a worker",
     "sunarc.imager.workers.replay": "a worker has a file of its own; the service alone makes it",

@@ -16,8 +16,8 @@ from sunarc.imaging.brightness import (
     Level,
     factor_all_over,
     is_dark,
-    level_of,
     light_ratio_contradiction,
+    measure_level,
     trimmed_mean,
 )
 from sunarc.imaging.hdr import merge_hdr
@@ -205,14 +205,14 @@ def test_less_than_four_blocks_say_nothing_and_four_do() -> None:
 
 def test_block_means_of_a_ramp_are_its_values_at_the_middle_of_the_blocks() -> None:
     image = np.tile(np.arange(240, dtype=np.uint16), (240, 1))
-    found = level_of([Exposed(image=image, exposure_us=5.0, full_scale=255)])
+    found = measure_level([Exposed(image=image, exposure_us=5.0, full_scale=255)])
     assert found.blocks.shape == (1, 24 * 24)
     np.testing.assert_allclose(found.blocks.reshape(24, 24)[3], 4.5 + 10.0 * np.arange(24))
     assert (found.shape, found.full_scale, found.exposures_us) == ((240, 240), 255, (5.0,))
     large = np.tile(np.arange(24 * 40, dtype=np.uint16), (24 * 40, 1))
-    sampled = level_of([Exposed(image=large, exposure_us=5.0, full_scale=1023)]).blocks.reshape(24, 24)
+    sampled = measure_level([Exposed(image=large, exposure_us=5.0, full_scale=1023)]).blocks.reshape(24, 24)
     np.testing.assert_allclose(sampled[0], 19.0 + 40.0 * np.arange(24))  # every other one of 40
-    small = level_of([Exposed(image=image[:6, :7], exposure_us=5.0, full_scale=255)])
+    small = measure_level([Exposed(image=image[:6, :7], exposure_us=5.0, full_scale=255)])
     assert small.blocks.shape == (1, 42)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sunarc.imaging.brightness import MOST_ALL_OVER, Exposed, Level, factor_all_over, level_of
+from sunarc.imaging.brightness import MOST_ALL_OVER, Exposed, Level, factor_all_over, measure_level
 
 FULL_SCALE, BLACK = 4095, 60.0
 SIZE = 300
@@ -30,7 +30,7 @@ def level(rate: NDArray[np.float64], *, factor: float = 1.0, exposures_us: tuple
         image = np.clip(np.round(counts), 0, FULL_SCALE).astype(np.uint16)
         return Exposed(image=image, exposure_us=said_us, full_scale=FULL_SCALE)
 
-    return level_of([exposed(said_us) for said_us in exposures_us])
+    return measure_level([exposed(said_us) for said_us in exposures_us])
 
 
 @pytest.mark.parametrize("factor", [1 / 16, 0.25, 0.4, 2.5, 4.0, 16.0])

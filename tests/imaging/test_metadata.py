@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image as Pictures
 
-from sunarc.imaging.metadata import document_of, jpeg_with, png_with
+from sunarc.imaging.metadata import embedded_document, jpeg_with, png_with
 
 DOCUMENT = {
     "schema": "sunarc.image/1",
@@ -60,16 +60,16 @@ def test_pillow_reads_what_a_jpeg_says(jpeg: bytes) -> None:
 
 
 def test_both_are_read_back_whole(png: bytes, jpeg: bytes) -> None:
-    assert document_of(png) == DOCUMENT
-    assert document_of(jpeg) == DOCUMENT
+    assert embedded_document(png) == DOCUMENT
+    assert embedded_document(jpeg) == DOCUMENT
 
 
 @pytest.mark.parametrize("cut", [0, 1, 7, 20, 60])
 def test_a_file_that_was_cut_or_says_nothing_has_no_document(png: bytes, jpeg: bytes, cut: int) -> None:
-    assert document_of(png[:cut]) is None
-    assert document_of(jpeg[:cut]) is None
-    assert document_of(encoded(".png", IMAGE)) is None
-    assert document_of(encoded(".jpg", (IMAGE // 256).astype(np.uint8))) is None
+    assert embedded_document(png[:cut]) is None
+    assert embedded_document(jpeg[:cut]) is None
+    assert embedded_document(encoded(".png", IMAGE)) is None
+    assert embedded_document(encoded(".jpg", (IMAGE // 256).astype(np.uint8))) is None
 
 
 def test_a_document_too_long_for_a_jpeg_is_left_away() -> None:

@@ -18,13 +18,13 @@ from sunarc.imaging.obstructions import (
     SOILED,
     UNKNOWN,
     ObstructionSums,
+    add_star_votes,
     carried_over,
     cell_grid,
     mask_changes,
     no_sums,
     obstruction_mask,
     updated_sums,
-    with_stars,
 )
 from sunarc.optics.pose import rotation_matrix, rotation_vector
 
@@ -171,14 +171,14 @@ def test_named_stars_free_their_cells_and_stars_that_are_never_found_hide_theirs
     directions, behind = world.directions.reshape(-1, 3)[picked], truth.ravel()[picked]
     sums = no_sums(grid)
     for _ in range(8):
-        sums = with_stars(sums, grid, named=directions[~behind], missed=directions[behind])
+        sums = add_star_votes(sums, grid, named=directions[~behind], missed=directions[behind])
     state = obstruction_mask(sums, grid).state
     inside = cv2.erode(truth.astype(np.uint8), np.ones((11, 11))) > 0
     outside = cv2.dilate(truth.astype(np.uint8), np.ones((5, 5))) == 0
     assert np.mean(state[sky & outside] == FREE) > 0.95
     assert np.mean(state[sky & inside] == HIDDEN) > 0.8
     assert not np.any(state[sky & outside] == HIDDEN)
-    nothing = with_stars(sums, grid, named=np.zeros((0, 3)), missed=np.zeros((0, 3)))
+    nothing = add_star_votes(sums, grid, named=np.zeros((0, 3)), missed=np.zeros((0, 3)))
     assert np.array_equal(nothing.log_odds, sums.log_odds)
 
 

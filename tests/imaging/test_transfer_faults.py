@@ -7,20 +7,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sunarc.imaging.transfer_faults import missing_levels, repeated_rows
+from sunarc.imaging.transfer_faults import count_missing_levels, repeated_rows
 
 NOISE = np.random.default_rng(1).integers(20, 236, (64, 80))
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.int16, np.uint32])
 def test_levels_of_four_bits_are_counted_and_those_of_eight_are_sound(dtype: Any) -> None:  # noqa: ANN401 - a type
-    assert missing_levels((NOISE & 0xF0).astype(dtype)) == (17 if dtype is np.uint8 else 15)
-    assert missing_levels(NOISE.astype(dtype)) == 0
+    assert count_missing_levels((NOISE & 0xF0).astype(dtype)) == (17 if dtype is np.uint8 else 15)
+    assert count_missing_levels(NOISE.astype(dtype)) == 0
 
 
 def test_counts_below_zero_and_floats_are_no_fault() -> None:
-    assert missing_levels((NOISE - 100).astype(np.int16)) == 0  # type: ignore[arg-type]
-    assert missing_levels(NOISE.astype(np.float32)) == 0  # type: ignore[arg-type]
+    assert count_missing_levels((NOISE - 100).astype(np.int16)) == 0  # type: ignore[arg-type]
+    assert count_missing_levels(NOISE.astype(np.float32)) == 0  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("colours", [1, 3])

@@ -48,7 +48,7 @@ def swayed(calibration: Calibration, sigmas: float) -> Calibration:
     ways = np.linalg.eigh(rows.T @ rows)[1]
     vector = calibration.camera.to_vector()
     vector[chosen] += sigmas * (root @ ways[:, -1])
-    return replace(calibration, camera=calibration.camera.with_parameters(vector))
+    return replace(calibration, camera=calibration.camera.replace_parameters(vector))
 
 
 def test_what_refuses_itself_is_refused_for_its_own_reasons(calibrated: Calibration) -> None:
@@ -110,7 +110,7 @@ def test_a_focal_length_that_follows_the_season_contradicts_no_camera_of_another
 ) -> None:
     vector = calibrated.camera.to_vector()
     vector[:2] *= 1.002
-    winter = replace(knowing(calibrated, "2013-11-20"), camera=calibrated.camera.with_parameters(vector))
+    winter = replace(knowing(calibrated, "2013-11-20"), camera=calibrated.camera.replace_parameters(vector))
     assert not accept(winter, calibrated).accepted
     known = replace(winter, evidence=replace(winter.evidence, log_odds={"season_share": 0.002}))
     assert accept(known, calibrated).accepted

@@ -14,7 +14,7 @@ from tests.fixtures.calibration import small_camera, stated_calibration, sun_arc
 
 from sunarc.calibration.evidence import fit_inlier_mixture, log_evidence
 from sunarc.changes import online as module
-from sunarc.changes.online import Drift, ResidualModel, drift_evidence, update_window, window_of
+from sunarc.changes.online import Drift, ResidualModel, drift_evidence, make_residual_model, update_window
 from sunarc.changes.values import Sighting, SightingWindow, WatchOptions
 from sunarc.lab.simulation.truth import SGP
 from sunarc.optics.forward import project
@@ -36,7 +36,7 @@ def _window(drift: FloatArray, *, trusted: int = FIRST) -> ResidualModel:
         trusted=np.arange(N) < trusted,
         surprise=np.zeros((N, 2)),
     )
-    return window_of(watch, calibration, WatchOptions())
+    return make_residual_model(watch, calibration, WatchOptions())
 
 
 def test_a_drift_is_a_twice_differentiable_matern_process_from_its_begin_on() -> None:
@@ -162,7 +162,7 @@ def test_a_false_sighting_among_the_drift_is_counted_as_false() -> None:
     ],
 )
 def test_runs_begin_where_more_than_one_row_is_missing(rows: list[int], begins: set[int]) -> None:
-    assert module.begins_of_runs(np.array(rows, dtype=np.intp)) == begins
+    assert module.find_run_starts(np.array(rows, dtype=np.intp)) == begins
 
 
 def test_sightings_before_the_episode_count_where_they_were_trusted() -> None:

@@ -16,7 +16,7 @@ from sunarc.calibration.model.pose_change import PoseChange
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.pose import estimate_pose
-from sunarc.changes.online import details_of, distrusted, update_window
+from sunarc.changes.online import change_details, distrusted, update_window
 from sunarc.changes.values import Sighting, SightingWindow, WatchOptions
 from sunarc.lab.simulation.truth import SGP
 from sunarc.optics.camera import Camera
@@ -119,8 +119,8 @@ def test_a_clock_that_the_host_says_was_set_is_a_clock(calibrated: Calibration, 
     times, pixels = sightings(camera, lambda seen, t: project(seen, sun_directions(t + 5.0, SGP)), false=0.0, seed=5)
     _, change = watched(calibrated, times, pixels, clock_stepped=True)
     assert change is not None
-    assert (change.cause, details_of(change)["unit"]) == ("clock", "s")
-    assert details_of(change)["size"] == pytest.approx(5.0, abs=4.0 * details_of(change)["size_sigma"])
+    assert (change.cause, change_details(change)["unit"]) == ("clock", "s")
+    assert change_details(change)["size"] == pytest.approx(5.0, abs=4.0 * change_details(change)["size_sigma"])
 
 
 def test_a_turn_is_a_turn_though_the_clock_was_set(calibrated: Calibration, camera: Camera) -> None:
@@ -136,7 +136,7 @@ def test_a_mirrored_image_is_named(calibrated: Calibration, camera: Camera, fals
     _, change = watched(calibrated, times, pixels)
     assert change is not None
     assert change.cause == "mirrored"
-    assert "reverse" in details_of(change)["remedy"]
+    assert "reverse" in change_details(change)["remedy"]
 
 
 @pytest.mark.parametrize(("latitude", "longitude"), [(-1.0, 1.0), (1.0, -1.0)])
@@ -178,10 +178,10 @@ def test_a_refocused_lens_is_named_with_how_much_the_image_grew(
     times, pixels = sightings(camera, lambda _, t: project(refocused, sun_directions(t, SGP)), false=0.0, seed=10)
     number, change = watched(calibrated, times, pixels)
     assert change is not None
-    assert (change.cause, details_of(change)["unit"]) == ("refocus", "%")
+    assert (change.cause, change_details(change)["unit"]) == ("refocus", "%")
     assert number - BEFORE <= 10
-    assert details_of(change)["size"] == pytest.approx(
-        100.0 * (grown - 1.0), abs=4.0 * details_of(change)["size_sigma"]
+    assert change_details(change)["size"] == pytest.approx(
+        100.0 * (grown - 1.0), abs=4.0 * change_details(change)["size_sigma"]
     )
 
 
@@ -194,7 +194,7 @@ def test_a_sensor_that_shifts_is_a_bump_that_may_be_a_shift_while_both_look_alik
     _, change = watched(calibrated, times, pixels)
     assert change is not None
     assert change.cause == "shift" or "shift" in change.perhaps
-    assert "sensor" in details_of(change)["text"]
+    assert "sensor" in change_details(change)["text"]
 
 
 def test_another_lens_is_named_once_the_arc_is_long_enough(calibrated: Calibration, camera: Camera) -> None:

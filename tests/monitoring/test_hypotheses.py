@@ -20,11 +20,11 @@ from sunarc.changes import online as module
 from sunarc.changes.online import (
     ResidualModel,
     best_hypothesis,
+    change_details,
     describe_change,
-    details_of,
     errors_at,
+    make_residual_model,
     rarity,
-    window_of,
 )
 from sunarc.changes.values import ChangeKind, SightingWindow, WatchOptions
 from sunarc.common.array_types import picked, stacked
@@ -65,7 +65,7 @@ def window(
         trusted=np.arange(N) < trusted,
         surprise=np.zeros((N, 2)),
     )
-    return window_of(watch, calibration, OPTIONS)
+    return make_residual_model(watch, calibration, OPTIONS)
 
 
 def changed(calibration: Calibration, directions: FloatArray, after: Camera) -> ResidualModel:
@@ -92,12 +92,12 @@ def test_a_rotation_is_a_bump_of_its_size(calibration: Calibration, directions: 
     turn = np.radians(size_deg) * np.array([0.48, -0.6, 0.64])
     change = found(changed(calibration, directions, rotated(calibration.camera, turn)))
     assert change is not None
-    assert (change.cause, details_of(change)["unit"]) == ("bump", "degrees")
+    assert (change.cause, change_details(change)["unit"]) == ("bump", "degrees")
     assert change.time == TIMES[FIRST]
     assert change.bracket[0] < change.time <= change.bracket[1]
-    assert (details_of(change)["agreeing"], details_of(change)["of"]) == (10, 10)
-    assert abs(details_of(change)["size"] - size_deg) < 4.0 * details_of(change)["size_sigma"]
-    assert 1e-3 < details_of(change)["size_sigma"] < 0.2 + 0.02 * size_deg
+    assert (change_details(change)["agreeing"], change_details(change)["of"]) == (10, 10)
+    assert abs(change_details(change)["size"] - size_deg) < 4.0 * change_details(change)["size_sigma"]
+    assert 1e-3 < change_details(change)["size_sigma"] < 0.2 + 0.02 * size_deg
     assert change.gain > 20.0
 
 
@@ -114,9 +114,9 @@ def test_a_clock_that_jumped_is_named_with_its_seconds(calibration: Calibration,
     pixels = project(calibration.camera, np.asarray(sun_directions(true_times, SGP)))
     change = found(window(calibration, said, pixels), clock_stepped=True)
     assert change is not None
-    assert (change.cause, details_of(change)["unit"]) == ("clock", "s")
-    assert details_of(change)["size"] == pytest.approx(seconds, abs=4.0 * details_of(change)["size_sigma"])
-    assert 1.0 < details_of(change)["size_sigma"] < 40.0
+    assert (change.cause, change_details(change)["unit"]) == ("clock", "s")
+    assert change_details(change)["size"] == pytest.approx(seconds, abs=4.0 * change_details(change)["size_sigma"])
+    assert 1.0 < change_details(change)["size_sigma"] < 40.0
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -127,7 +127,7 @@ def test_a_mirrored_image_is_named(calibration: Calibration, directions: FloatAr
     change = found(window(calibration, directions, flipped))
     assert change is not None
     assert change.cause == "mirrored"
-    assert (details_of(change)["size"], details_of(change)["size_sigma"]) == (0.0, 0.0)
+    assert (change_details(change)["size"], change_details(change)["size_sigma"]) == (0.0, 0.0)
 
 
 def test_a_site_of_the_wrong_sign_is_named(calibration: Calibration) -> None:
@@ -229,11 +229,11 @@ def test_refocus_and_shift_are_read_back(calibration: Calibration) -> None:
         trusted=np.arange(N) < 6,
         surprise=np.zeros((N, 2)),
     )
-    change = found(window_of(watch, calibration, OPTIONS))
+    change = found(make_residual_model(watch, calibration, OPTIONS))
     assert change is not None
-    assert (change.cause, details_of(change)["unit"]) == ("refocus", "%")
-    assert details_of(change)["size"] == pytest.approx(1.0, abs=4.0 * details_of(change)["size_sigma"])
-    assert details_of(change)["size_sigma"] < 0.3
+    assert (change.cause, change_details(change)["unit"]) == ("refocus", "%")
+    assert change_details(change)["size"] == pytest.approx(1.0, abs=4.0 * change_details(change)["size_sigma"])
+    assert change_details(change)["size_sigma"] < 0.3
 
 
 @pytest.mark.parametrize(

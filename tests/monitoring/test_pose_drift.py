@@ -10,7 +10,7 @@ import pytest
 
 from sunarc.calibration.acceptance import pose_spread_deg
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
-from sunarc.calibration.quality.widening import with_pose_spread
+from sunarc.calibration.quality.widening import add_pose_spread
 from sunarc.calibration.verdict import accept
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix, rotation_vector
@@ -41,7 +41,7 @@ def test_four_days_tell_no_spread() -> None:
 
 def test_what_is_stated_grows_by_what_such_turns_move_the_sky(calibrated: Calibration) -> None:
     spread = (0.02, 0.005, 0.05)
-    widened = with_pose_spread(calibrated, spread)
+    widened = add_pose_spread(calibrated, spread)
     sky, rng = hemisphere(60), np.random.default_rng(2)
     turn = rotation_matrix(calibrated.camera.rotation_cam_enu)
     moved = []
@@ -60,4 +60,4 @@ def test_what_is_stated_grows_by_what_such_turns_move_the_sky(calibrated: Calibr
 
 
 def test_a_camera_that_wanders_more_is_no_reason_to_refuse_the_next_fit(calibrated: Calibration) -> None:
-    assert accept(with_pose_spread(calibrated, (0.5, 0.5, 0.5)), calibrated).accepted
+    assert accept(add_pose_spread(calibrated, (0.5, 0.5, 0.5)), calibrated).accepted

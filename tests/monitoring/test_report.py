@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sunarc.calibration.model.pose_change import PoseChange
-from sunarc.changes.online import describe_change, details_of
+from sunarc.changes.online import change_details, describe_change
 
 TIMES = 1000.0 + 60.0 * np.arange(10)
 
@@ -54,5 +54,5 @@ def test_a_change_is_dated_between_sightings(
 
 def test_those_that_agree_are_counted_from_the_change_on() -> None:
     change = described(4, [1, 4, 5, 8], alike=[])
-    assert (details_of(change)["agreeing"], details_of(change)["of"], change.gain) == (3, 6, 12.0)
-    assert (details_of(change)["size"], details_of(change)["size_sigma"]) == (0.0, 0.0)
+    assert (change_details(change)["agreeing"], change_details(change)["of"], change.gain) == (3, 6, 12.0)
+    assert (change_details(change)["size"], change_details(change)["size_sigma"]) == (0.0, 0.0)

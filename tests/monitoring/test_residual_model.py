@@ -14,7 +14,7 @@ from tests.fixtures.calibration import SGP, small_camera, stated_calibration, su
 
 from sunarc.calibration.answers.error_model import joint_covariance
 from sunarc.calibration.model.result import Calibration
-from sunarc.changes.online import errors_at, wandering, window_of
+from sunarc.changes.online import errors_at, make_residual_model, wandering
 from sunarc.changes.values import SightingWindow, WatchOptions
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix, rotation_vector
@@ -58,7 +58,7 @@ def test_residuals_are_observed_minus_predicted_and_their_noise_is_that_of_the_s
 ) -> None:
     window = window_at(calibration, sun_arc(6))
     shifted = replace(window, pixels=window.pixels + np.array([0.3, -0.1]))
-    found = window_of(shifted, calibration, STILL)
+    found = make_residual_model(shifted, calibration, STILL)
     np.testing.assert_allclose(found.sightings.residual, np.tile([0.3, -0.1], (6, 1)), atol=1e-8)
     np.testing.assert_allclose(found.sightings.variance, 0.04)
     assert found.camera.max_angle > calibration.camera.max_angle
@@ -68,12 +68,12 @@ def test_a_sighting_that_the_camera_cannot_see_is_far_off() -> None:
     calibration = stated_calibration(small_camera("orthographic"))
     down = np.array([[0.1, 0.0, -math.sqrt(0.99)]])
     window = replace(window_at(calibration, down), pixels=np.zeros((1, 2)))
-    np.testing.assert_allclose(window_of(window, calibration, STILL).sightings.residual, 1e4)
+    np.testing.assert_allclose(make_residual_model(window, calibration, STILL).sightings.residual, 1e4)
 
 
 def test_the_covariance_is_the_sum_of_its_parts(calibration: Calibration) -> None:
     directions = sun_arc(6)
-    found = window_of(window_at(calibration, directions), calibration, WatchOptions())
+    found = make_residual_model(window_at(calibration, directions), calibration, WatchOptions())
     stated_part = joint_covariance(found.error_model, found.at)
     rest = found.covariance - stated_part - found.air
     flat = found.at.rows[..., found.error_model.rotation].reshape(12, 3)
@@ -86,8 +86,8 @@ def test_the_wandering_s_part_is_that_of_small_rotations(calibration: Calibratio
     """Drawn: one rotation for all sightings (they are seconds apart), isotropic in the camera's axes."""
     directions = sun_arc(3)
     window = window_at(calibration, directions, step_s=1e-3)
-    wide = window_of(window, calibration, WatchOptions(wander_deg=0.1))
-    still = window_of(window, calibration, STILL)
+    wide = make_residual_model(window, calibration, WatchOptions(wander_deg=0.1))
+    still = make_residual_model(window, calibration, STILL)
     camera, rng = calibration.camera, np.random.default_rng(1)
     draws = []
     for _ in range(1500):
@@ -103,7 +103,7 @@ def test_the_wandering_s_part_is_that_of_small_rotations(calibration: Calibratio
 
 def test_the_air_s_part_is_the_outer_product_of_what_other_refraction_does(calibration: Calibration) -> None:
     directions = sun_arc(5, widest_deg=85.0)
-    found = window_of(window_at(calibration, directions), calibration, STILL)
+    found = make_residual_model(window_at(calibration, directions), calibration, STILL)
     sd = math.hypot(0.04, 0.015)  # common to the record and of the day (decision 0009)
     rise = 1e-4 * refraction_rad(directions, SGP)
     shift = (project(found.camera, raised(directions, rise)) - project(found.camera, directions)) / 1e-4 * sd
@@ -113,7 +113,7 @@ def test_the_air_s_part_is_the_outer_product_of_what_other_refraction_does(calib
 def test_density_of_false_sightings_is_about_the_prediction(calibration: Calibration) -> None:
     window = window_at(calibration, sun_arc(2))
     off = replace(window, pixels=window.pixels + np.array([[0.0, 0.0], [60.0, 0.0]]))
-    density = window_of(off, calibration, STILL).sightings.false_density
+    density = make_residual_model(off, calibration, STILL).sightings.false_density
     near = 1.0 / (2.0 * math.pi * 15.0**2)
     expected = [0.5 * near + 0.5 / 307_200.0, 0.5 * near * math.exp(-8.0) + 0.5 / 307_200.0]
     np.testing.assert_allclose(np.exp(density), expected, rtol=1e-6)

@@ -13,7 +13,7 @@ import pytest
 from tests.finding_codes import codes
 
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.quality.day_quality import DaySampling, DayVerdict, decide_day, measure_day, sampling_of
+from sunarc.calibration.quality.day_quality import DaySampling, DayVerdict, decide_day, measure_day, measure_sampling
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -97,7 +97,7 @@ def test_the_lower_bound_knows_how_many_independent_samples_there_are(
 
 
 def test_exposures_of_one_slot_count_once_and_unknown_times_not_at_all() -> None:
-    found = sampling_of(np.array([30.5, 31.0, np.nan, 95.0, 1000.0]), cadence_s=30.0, n_possible=20)
+    found = measure_sampling(np.array([30.5, 31.0, np.nan, 95.0, 1000.0]), cadence_s=30.0, n_possible=20)
     assert found == DaySampling(n_observed=3, n_span=20, n_periods=2)
 
 

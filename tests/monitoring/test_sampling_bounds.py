@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import brentq
 from scipy.stats import norm
 
-from sunarc.calibration.quality.day_quality import PERIOD_S, DaySampling, fully_observed, sampling_of
+from sunarc.calibration.quality.day_quality import PERIOD_S, DaySampling, fully_observed, measure_sampling
 
 
 def test_the_bound_is_where_the_score_test_rejects() -> None:
@@ -51,7 +51,7 @@ def test_the_bound_holds_in_95_percent_of_simulated_days() -> None:
 
 def test_slots_and_periods_are_counted_once() -> None:
     times = np.array([0.0, 10.0, 29.9, 30.0, 599.0, 600.0, 1500.0, np.nan])
-    found = sampling_of(times, cadence_s=30.0, n_possible=1000)
+    found = measure_sampling(times, cadence_s=30.0, n_possible=1000)
     # slots 0, 1, 19, 20, 50; periods of 600 s: 0, 1, 2
     assert (found.n_observed, found.n_span, found.n_periods) == (5, 51, 3)
     assert PERIOD_S == 600.0
@@ -59,9 +59,9 @@ def test_slots_and_periods_are_counted_once() -> None:
 
 def test_the_span_is_no_longer_than_what_is_possible_and_no_shorter_than_what_was_observed() -> None:
     times = 30.0 * np.array([0.0, 1.0, 2.0, 90.0])
-    assert sampling_of(times, cadence_s=30.0, n_possible=20).n_span == 20
-    assert sampling_of(times, cadence_s=30.0, n_possible=2).n_span == 4
-    empty = sampling_of(np.zeros(0), cadence_s=30.0, n_possible=20)
+    assert measure_sampling(times, cadence_s=30.0, n_possible=20).n_span == 20
+    assert measure_sampling(times, cadence_s=30.0, n_possible=2).n_span == 4
+    empty = measure_sampling(np.zeros(0), cadence_s=30.0, n_possible=20)
     assert (empty.n_observed, empty.n_span, empty.n_periods) == (0, 0, 0)
 
 

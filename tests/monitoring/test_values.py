@@ -22,7 +22,7 @@ def _grown(count: int) -> SightingWindow:
     window = SightingWindow()
     for k in range(count):
         one = Sighting(unix_s=60.0 * k, pixel=(float(k), 2.0 * k), direction=(0.0, 0.6, 0.8), sigma_px=0.1 * k)
-        window = window.with_one(one, trusted=k % 2 == 0, surprise=np.array([k, -k], dtype=np.float64))
+        window = window.append_sighting(one, trusted=k % 2 == 0, surprise=np.array([k, -k], dtype=np.float64))
     return window
 
 
@@ -47,7 +47,7 @@ def test_sightings_are_appended_in_order() -> None:
 
 def test_a_sighting_more_leaves_the_window_before_as_it_was() -> None:
     window = _grown(2)
-    window.with_one(
+    window.append_sighting(
         Sighting(unix_s=1e9, pixel=(0.0, 0.0), direction=(0.0, 0.0, 1.0)), trusted=True, surprise=np.zeros(2)
     )
     assert len(window) == 2

@@ -77,7 +77,7 @@ def test_an_accepted_fit_is_stored_and_served(settings: Settings, solve: Callabl
         current = archive.calibrations.current("roof")
         assert current is not None
         assert (current.id, current.valid_from) == (document["id"], MORNING)
-        assert len(archive.calibrations.sightings_of(current.id).ids) == 40
+        assert len(archive.calibrations.sightings_given_to(current.id).ids) == 40
         assert [one.state for one in archive.refits.find("roof")] == ["accepted"]
 
 
@@ -89,7 +89,7 @@ def test_the_scatter_about_an_accepted_fit_becomes_the_stated_sigma(
     assert document is not None
     with open_archive(settings.database) as archive:
         learned = {point.sigma_px for point in archive.sightings.find("roof")}
-        assert set(archive.calibrations.sightings_of(document["id"]).sigma_px.tolist()) == {STATED_PX}
+        assert set(archive.calibrations.sightings_given_to(document["id"]).sigma_px.tolist()) == {STATED_PX}
     assert len(learned) == 1
     assert 0.6 < float(learned.pop() or 0.0) < 1.1
 

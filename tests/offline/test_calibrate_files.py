@@ -22,7 +22,7 @@ from sunarc.common.utc import rfc3339, utc_time
 from sunarc.formats.calibration_document import from_document
 from sunarc.formats.formats import export
 from sunarc.optics.forward import project
-from sunarc.public.calibrate_files import calibrate_file, image_circle_of, read_start
+from sunarc.public.calibrate_files import calibrate_file, parse_image_circle, read_start
 from sunarc.public.stated_fit import start_camera
 from sunarc.sky.sun import sun_angles, sun_directions
 
@@ -140,7 +140,7 @@ def test_the_other_handedness_is_tried_where_a_known_lens_is_refused(
 
 
 def test_a_circle_is_read_from_three_numbers() -> None:
-    circle = image_circle_of("870.5, 880, 850")
+    circle = parse_image_circle("870.5, 880, 850")
     assert (circle.x, circle.y, circle.radius, circle.angle_deg) == (870.5, 880.0, 850.0, 90.0)
 
 
@@ -148,19 +148,19 @@ def test_a_circle_is_found_in_an_image(tmp_path: Path) -> None:
     y, x = np.mgrid[:400, :500]
     path = tmp_path / "noon.png"
     cv2.imwrite(str(path), np.where(np.hypot(x - 245.0, y - 203.0) < 180.0, 160, 4).astype(np.uint8))
-    circle = image_circle_of(str(path))
+    circle = parse_image_circle(str(path))
     assert (circle.x, circle.y, circle.radius) == pytest.approx((245.0, 203.0, 180.0), abs=1.0)
 
 
 @pytest.mark.parametrize("text", ["1,2,0", "1,2,-3", "1,2,nan", "inf,2,3", "1,2", "1,2,3,4"])
 def test_what_is_no_circle_and_no_file_is_refused(text: str) -> None:
     with pytest.raises(InputError):
-        image_circle_of(text)
+        parse_image_circle(text)
 
 
 def test_an_image_without_a_circle_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "plain.png"
     cv2.imwrite(str(path), np.zeros((200, 200), dtype=np.uint8))
     with pytest.raises(InputError) as refused:
-        image_circle_of(str(path))
+        parse_image_circle(str(path))
     assert refused.value.field == "--image-circle"

@@ -13,8 +13,8 @@ from PIL import Image
 
 from sunarc.common.array_types import Image as Pixels
 from sunarc.common.findings import FindingError
-from sunarc.sources.image_files import checked_image, image_size, orientation_of
-from sunarc.sources.source_files import content_of
+from sunarc.sources.image_files import checked_image, exif_orientation, image_size
+from sunarc.sources.source_files import read_content
 from sunarc.sources.sources import Folder
 
 ROWS, COLUMNS = 48, 64
@@ -25,7 +25,7 @@ ORIENTATION = 0x0112
 
 
 def read_checked_image(path: Path, *, size: tuple[int, int] | None = None) -> Pixels:
-    return checked_image(content_of(Folder(str(path.parent)), path.name), path.name, size=size)
+    return checked_image(read_content(Folder(str(path.parent)), path.name), path.name, size=size)
 
 
 def code_of(path: Path, **more: Any) -> str:  # noqa: ANN401 - as the function's
@@ -136,7 +136,7 @@ def test_an_image_is_read_as_it_is_stored_whatever_exif_states(tmp_path: Path, s
     smooth = cv2.GaussianBlur(GREY, (9, 9), 0)
     Image.fromarray(smooth).save(path, exif=exif)
     assert float(np.abs(read_checked_image(path).astype(int) - smooth).mean()) < 2.0
-    assert orientation_of(Folder(str(tmp_path)), path.name) == orientation
+    assert exif_orientation(Folder(str(tmp_path)), path.name) == orientation
 
 
 def test_an_upright_image_that_says_so_is_read(tmp_path: Path) -> None:

@@ -158,7 +158,7 @@ def test_a_run_after_the_first_looks_at_nothing_and_fits_nothing(images: Path, m
         draw(images, number, sun_px(number))
     ingested(images, monkeypatch, Fits(TRUTH))
     fits = Fits(TRUTH)
-    monkeypatch.setattr(passes, "static_mask_of", None)  # nor are images read for a mask
+    monkeypatch.setattr(passes, "find_static_mask", None)  # nor are images read for a mask
     again = ingested(images, monkeypatch, fits)
     assert (again.known, again.accepted, again.rejected, fits.given) == (COUNT, 0, 0, [])
 

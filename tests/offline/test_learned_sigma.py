@@ -14,7 +14,7 @@ from tests.fixtures.settings import new_settings
 
 from sunarc.imager.archive.archive import Archive, open_archive
 from sunarc.imager.archive.values import CameraRecord, SunPoint
-from sunarc.imager.live.learned_sigma import ValidCamera, factor_in_force, learn_sigma, sigma_factor, sigma_of_series
+from sunarc.imager.live.learned_sigma import ValidCamera, factor_in_force, learn_sigma, series_sigma, sigma_factor
 from sunarc.optics.forward import project
 from sunarc.sky.sun import sun_directions
 
@@ -71,7 +71,7 @@ def test_each_kind_of_sky_has_the_sigma_of_its_own_residuals() -> None:
     stated = np.repeat([0.5, 1.0, 0.5, 2.0], [300, 200, 150, 80])
     true = np.repeat([0.5, 2.0, 10.0, 2.0], [300, 200, 150, 80])
     residual = true[:, None] * rng.standard_t(4, (730, 2)) / np.sqrt(2.0)
-    sigma = sigma_of_series(residual, stated, sky.tolist())
+    sigma = series_sigma(residual, stated, sky.tolist())
     for kind in ("clear", "veiled", "partly_covered"):
         z = (residual / sigma[:, None])[sky == kind]
         assert 0.8 < float(np.sqrt(np.mean(z**2))) < 1.3, kind
@@ -82,12 +82,12 @@ def test_a_rare_sky_has_the_sigma_of_all_and_none_less_than_is_stated() -> None:
     residual, stated = scattered(3.0), np.ones(COUNT)
     residual[:10] = np.nan
     stated[10:20] = np.nan
-    sigma = sigma_of_series(residual, stated, ["veiled"] * 15 + ["clear"] * (COUNT - 15))
+    sigma = series_sigma(residual, stated, ["veiled"] * 15 + ["clear"] * (COUNT - 15))
     assert np.isnan(sigma[10:20]).all()
     assert sigma[:10] == pytest.approx(3.0, rel=0.1)
     assert sigma[20:] == pytest.approx(3.0, rel=0.1)
-    assert np.all(sigma_of_series(scattered(0.2), np.ones(COUNT), ["clear"] * COUNT) == 1.0)
-    assert np.all(sigma_of_series(scattered(9.0)[:12], np.ones(12), ["clear"] * 12) == 1.0)
+    assert np.all(series_sigma(scattered(0.2), np.ones(COUNT), ["clear"] * COUNT) == 1.0)
+    assert np.all(series_sigma(scattered(9.0)[:12], np.ones(12), ["clear"] * 12) == 1.0)
 
 
 def test_few_sightings_teach_nothing() -> None:

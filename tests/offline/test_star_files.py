@@ -26,11 +26,17 @@ from sunarc.formats.calibration_document import from_document, to_document
 from sunarc.formats.csv_files import read_sightings
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
-from sunarc.public.star_files import StarOptions, find_stars, read_stars, stars_of_image, write_star_sightings
+from sunarc.public.star_files import (
+    StarOptions,
+    detect_star_image,
+    detect_stars_in_file,
+    find_stars,
+    write_star_sightings,
+)
 from sunarc.sky.directions import angles_from_direction, angular_distance
 from sunarc.sky.night import STAR, night_sky
 from sunarc.sky.site import relative_air_mass
-from sunarc.stars.blind_start import with_clock_error
+from sunarc.stars.blind_start import add_star_clock_error
 
 SIZE = 640
 CAMERA = Camera(
@@ -239,9 +245,9 @@ def test_a_pose_by_the_stars_is_as_sure_as_the_clock(images: list[Path], tmp_pat
     looked, sigma, _ = unproject_with_sigma(found, project(CAMERA, sky))
     off = np.degrees(angular_distance(looked, sky))
     assert 0.3 < np.sqrt(np.mean(off**2) / np.mean(2.0 * sigma**2)) < 1.5
-    sure = with_clock_error(replace(found, covariance=1e-12 * found.covariance), 10.0, limit_deg=1.5)
+    sure = add_star_clock_error(replace(found, covariance=1e-12 * found.covariance), 10.0, limit_deg=1.5)
     assert sure.sky_rms_deg < 0.2 * found.sky_rms_deg
-    unsure = with_clock_error(found, 3600.0, limit_deg=1.5)
+    unsure = add_star_clock_error(found, 3600.0, limit_deg=1.5)
     assert unsure.verdict.findings[0].code == "direction_sigma_too_large"
 
 
@@ -342,7 +348,7 @@ def test_the_time_of_a_fits_file_is_that_of_its_header_or_it_is_refused(
 ) -> None:
     dark = tmp_path / "dark.png"
     cv2.imwrite(str(dark), np.random.default_rng(1).poisson(90.0, (64, 64)).astype(np.uint16))
-    one = read_stars(as_fits(dark, tmp_path / name, **header), SITE, StarOptions(to_middle_s=10.0))
+    one = detect_stars_in_file(as_fits(dark, tmp_path / name, **header), SITE, StarOptions(to_middle_s=10.0))
     assert [finding.code for finding in one.findings] == ([code] if code else [])
     began = datetime(2026, 3, 13, 6, tzinfo=UTC)
     assert one.time == (None if time is None else began + timedelta(seconds=time))
@@ -350,9 +356,9 @@ def test_the_time_of_a_fits_file_is_that_of_its_header_or_it_is_refused(
 
 def test_a_file_that_is_no_fits_gets_its_reason(tmp_path: Path) -> None:
     (tmp_path / "a.fits").write_bytes(b"SIMPLE  = nothing")
-    one = read_stars(tmp_path / "a.fits", SITE, StarOptions())
+    one = detect_stars_in_file(tmp_path / "a.fits", SITE, StarOptions())
     assert [finding.code for finding in one.findings] == ["file_not_image"]
-    gone = read_stars(tmp_path / "gone.fits", SITE, StarOptions())
+    gone = detect_stars_in_file(tmp_path / "gone.fits", SITE, StarOptions())
     assert [finding.code for finding in gone.findings] == ["file_not_image"]
 
 
@@ -363,7 +369,7 @@ def test_wide_stars_are_measured_at_half_the_size_with_their_sigma() -> None:
     image = counted(rng, expected(places, rng.uniform(20_000.0, 60_000.0, len(places)), size=480, width=2.8))
     time = datetime(2026, 3, 13, 6, tzinfo=UTC)
     options = StarOptions(full_scale=4095, gain_e_per_count=5.0, reduced_by=2)
-    stars = stars_of_image(image, time, SITE, options, name="wide").stars
+    stars = detect_star_image(image, time, SITE, options, name="wide").stars
     assert stars is not None
     apart = np.linalg.norm(stars.pixels[:, None] - places, axis=-1)
     near = np.min(apart, axis=-1) < 3.0

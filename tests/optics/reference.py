@@ -94,7 +94,7 @@ def parameters_by_differences(camera: Camera, directions: FloatArray) -> FloatAr
     for i in range(vector.size):
         step = np.zeros_like(vector)
         step[i] = 1e-5 * max(1.0, abs(vector[i]))
-        ahead = pixels_by_hand(camera.with_parameters(vector + step), directions)
-        behind = pixels_by_hand(camera.with_parameters(vector - step), directions)
+        ahead = pixels_by_hand(camera.replace_parameters(vector + step), directions)
+        behind = pixels_by_hand(camera.replace_parameters(vector - step), directions)
         columns.append((ahead - behind) / (2.0 * step[i]))
     return np.stack(columns, axis=-1)

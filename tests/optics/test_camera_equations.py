@@ -139,7 +139,7 @@ def test_derivatives_are_the_difference_quotients_of_the_pixels() -> None:
         vector = camera.to_vector()
         for k, step in enumerate(1e-5 * np.maximum(1.0, np.abs(vector) * 1e-2)):
             ahead, behind = (
-                project(camera.with_parameters(vector + sign * step * np.eye(23)[k]), directions)
+                project(camera.replace_parameters(vector + sign * step * np.eye(23)[k]), directions)
                 for sign in (1.0, -1.0)
             )
             np.testing.assert_allclose(rows[..., k], (ahead - behind) / (2.0 * step), rtol=1e-5, atol=1e-4)
@@ -250,7 +250,7 @@ def test_a_vector_holds_the_parameters_in_the_order_of_their_names() -> None:
     assert tuple(named[f"translation_{axis}"] for axis in "xyz") == camera.translation
     assert tuple(named[f"k{n}"] for n in range(2, 10)) == camera.radial
     assert tuple(named[f"p{n}"] for n in range(1, 5)) == camera.decentering
-    counted = camera.with_parameters(np.arange(1.0, 24.0))
+    counted = camera.replace_parameters(np.arange(1.0, 24.0))
     np.testing.assert_array_equal(counted.to_vector(), np.arange(1.0, 24.0))
     assert (counted.width, counted.max_angle) == (camera.width, camera.max_angle)
 
@@ -276,7 +276,7 @@ def test_what_is_no_camera_is_refused_by_its_field(change: dict[str, object], fi
 def test_the_smallest_image_is_a_camera_and_22_numbers_are_none() -> None:
     assert replace(STRANGE[0], width=1, height=1).width == 1
     with pytest.raises(InputError, match="22 numbers"):
-        STRANGE[0].with_parameters(np.zeros(22))
+        STRANGE[0].replace_parameters(np.zeros(22))
 
 
 def test_a_camera_without_further_words_is_undistorted_and_sees_100_degrees() -> None:

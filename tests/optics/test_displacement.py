@@ -86,7 +86,7 @@ def test_beyond_the_box_it_is_nothing_and_nan_stays_nan() -> None:
 
 def test_slopes_are_the_finite_differences() -> None:
     field, pixels, step = smooth(), np.random.default_rng(2).uniform(0.0, SIZE, (30, 2)), 1e-3
-    values, slopes = field.with_slopes(pixels)
+    values, slopes = field.value_and_slopes(pixels)
     np.testing.assert_array_equal(values, field.at(pixels))
     for axis in range(2):
         shift = step * np.eye(2)[axis]
@@ -170,7 +170,7 @@ def test_derivatives_by_parameters_and_direction_hold_with_it() -> None:
     for k in (0, 3, 5, 6, 11, 19):
         step = np.zeros(vector.size)
         step[k] = 1e-6 * max(1.0, abs(vector[k]))
-        up, down = (project(DISPLACED.with_parameters(vector + s * step), directions) for s in (1.0, -1.0))
+        up, down = (project(DISPLACED.replace_parameters(vector + s * step), directions) for s in (1.0, -1.0))
         np.testing.assert_allclose(rows[..., k], (up - down) / (2.0 * step[k]), rtol=1e-6, atol=2e-6)
     for axis in range(3):
         shift = 1e-6 * np.eye(3)[axis]

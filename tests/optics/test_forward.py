@@ -15,7 +15,7 @@ FloatArray = NDArray[np.float64]
 
 
 def test_parameters_survive_the_vector(camera: Camera) -> None:
-    assert camera.with_parameters(camera.to_vector()) == camera
+    assert camera.replace_parameters(camera.to_vector()) == camera
 
 
 def test_derivatives_by_parameters_equal_central_differences(camera: Camera, directions: FloatArray) -> None:
@@ -24,8 +24,8 @@ def test_derivatives_by_parameters_equal_central_differences(camera: Camera, dir
     for i in range(vector.size):
         step = np.zeros_like(vector)
         step[i] = 1e-6 * max(1.0, abs(vector[i]))
-        ahead = project(wide.with_parameters(vector + step), directions[2:])
-        behind = project(wide.with_parameters(vector - step), directions[2:])
+        ahead = project(wide.replace_parameters(vector + step), directions[2:])
+        behind = project(wide.replace_parameters(vector - step), directions[2:])
         numeric = (ahead - behind) / (2.0 * step[i])
         np.testing.assert_allclose(by_parameters[..., i], numeric, rtol=2e-5, atol=2e-5 * np.abs(numeric).max() + 1e-7)
 

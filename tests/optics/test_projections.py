@@ -22,7 +22,7 @@ from sunarc.common.errors import InputError
 from sunarc.formats.calibration_document import from_document
 from sunarc.optics.forward import kernel_optics
 from sunarc.optics.pose import right_jacobian, rotation_matrix
-from sunarc.optics.projections import PROJECTIONS, Projection, angle_of_shape, ideal_radius, radius_of_shape
+from sunarc.optics.projections import PROJECTIONS, Projection, ideal_radius, shape_angle, shape_radius
 from sunarc.stars.sky_turn import Turns, count_on_detections
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -38,8 +38,8 @@ def test_the_table_has_each_projection_once_and_numbers_them() -> None:
 def test_shapes_between_the_projections_pass_into_one_another() -> None:
     angle = np.radians(np.linspace(0.0, 80.0, 17))
     for shape in (-0.8, -1e-5, 1e-7, 1e-5, 0.3):
-        np.testing.assert_allclose(angle_of_shape(shape, radius_of_shape(shape, angle)), angle, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(radius_of_shape(1e-5, angle), radius_of_shape(0.0, angle), rtol=1e-9)
+        np.testing.assert_allclose(shape_angle(shape, shape_radius(shape, angle)), angle, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(shape_radius(1e-5, angle), shape_radius(0.0, angle), rtol=1e-9)
 
 
 def kernel_calls(code: int) -> list[Callable[[], object]]:

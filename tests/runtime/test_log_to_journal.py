@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from sunarc.imager.runtime.log_to_journal import JournalHandler, Repeats, fields_of, stands_in_journal, start_log
+from sunarc.imager.runtime.log_to_journal import JournalHandler, Repeats, journal_fields, stands_in_journal, start_log
 
 
 class Journal:
@@ -178,4 +178,4 @@ def test_elsewhere_the_log_is_a_line_a_record_on_standard_error(
 def test_no_field_is_left_out_for_want_of_a_thread() -> None:
     made = record("text")
     made.threadName = None
-    assert fields_of(made)["THREAD_NAME"] == ""
+    assert journal_fields(made)["THREAD_NAME"] == ""

@@ -9,8 +9,8 @@ from typing import get_args
 
 import pytest
 
-from sunarc.common.messages import message_of
-from sunarc.imager.runtime.states import CONDITIONS, WORDS, Severity, State, state_and_text, state_of_condition, worst
+from sunarc.common.messages import find_message
+from sunarc.imager.runtime.states import CONDITIONS, WORDS, Severity, State, condition_state, state_and_text, worst
 from sunarc.imager.runtime.status import Reason, StatusRegistry
 
 PAGE = Path(__file__).parents[2] / "docs" / "operating" / "alerts.md"
@@ -29,12 +29,12 @@ def test_without_a_condition_the_service_is_ready() -> None:
     ("severity", "state"), [("note", "ready_with_note"), ("degraded", "attention"), ("not_ready", "not_serving")]
 )
 def test_a_condition_that_is_not_listed_has_the_state_of_its_severity(severity: Severity, state: State) -> None:
-    assert state_of_condition("of_a_later_version", severity) == state
+    assert condition_state("of_a_later_version", severity) == state
 
 
 @pytest.mark.parametrize("code", [code for codes in CONDITIONS.values() for code in codes])
 def test_what_is_not_ready_does_not_serve_whatever_its_code(code: str) -> None:
-    assert state_of_condition(code, "not_ready") == "not_serving"
+    assert condition_state(code, "not_ready") == "not_serving"
 
 
 def test_a_note_of_a_move_asks_for_attention_and_leaves_the_health() -> None:
@@ -72,7 +72,7 @@ def test_the_worst_of_some_states() -> None:
 def test_a_code_is_listed_once_and_has_a_message() -> None:
     codes = [code for listed in CONDITIONS.values() for code in listed]
     assert len(codes) == len(set(codes))
-    assert [code for code in codes if code not in OF_THE_HUB and message_of(code) is None] == []
+    assert [code for code in codes if code not in OF_THE_HUB and find_message(code) is None] == []
 
 
 def test_the_page_has_the_table() -> None:

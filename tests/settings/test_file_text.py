@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 
 from sunarc.common.errors import ConfigurationError, InputError
-from sunarc.imager.settings.file_text import NEW_FILE, read_text, value_in, with_values
+from sunarc.imager.settings.file_text import NEW_FILE, read_text, replace_values, value_in
 
 EXAMPLE = Path(__file__).parents[2] / "deploy/sunarc.toml"
 
 
 def test_a_value_is_changed_and_its_comment_and_every_other_line_kept() -> None:
     before = EXAMPLE.read_text()
-    after = with_values(before, {"site.longitude": 8.5})
+    after = replace_values(before, {"site.longitude": 8.5})
     (changed,) = [(a, b) for a, b in zip(before.split("\n"), after.split("\n"), strict=True) if a != b]
     assert changed[1].startswith("longitude = 8.5 ")
     assert changed[0].partition("#")[2] == changed[1].partition("#")[2]
@@ -23,18 +23,18 @@ def test_a_value_is_changed_and_its_comment_and_every_other_line_kept() -> None:
 
 def test_the_same_value_changes_nothing() -> None:
     text = "name   =  'a'  # mine\n"
-    assert with_values(text, {"name": "a"}) == text
+    assert replace_values(text, {"name": "a"}) == text
 
 
 def test_a_commented_line_is_used_where_there_is_no_other() -> None:
-    after = with_values(EXAMPLE.read_text(), {"camera.binning": 2, "name": "roof"})
+    after = replace_values(EXAMPLE.read_text(), {"camera.binning": 2, "name": "roof"})
     assert "# binning" not in after
     assert "# name =" not in after
     assert len(after.split("\n")) == len(EXAMPLE.read_text().split("\n"))
 
 
 def test_a_new_setting_stands_in_its_section_and_a_new_section_at_the_end() -> None:
-    after = with_values(
+    after = replace_values(
         'name = "a"\n\n[site]\nlatitude = 1.0\n\n[api]\nport = 1\n', {"site.altitude": 3.0, "x.y": True}
     )
     assert after.index("altitude") < after.index("[api]") < after.index("[x]")
@@ -58,7 +58,7 @@ def test_a_new_setting_stands_in_its_section_and_a_new_section_at_the_end() -> N
     ],
 )
 def test_only_what_is_asked_is_another_value(text: str, name: str, value: float | str) -> None:
-    after = with_values(text, {name: value})
+    after = replace_values(text, {name: value})
     section, _, key = name.rpartition(".")
     wanted = tomllib.loads(text)
     (wanted.setdefault(section, {}) if section else wanted)[key] = value
@@ -70,7 +70,7 @@ def test_only_what_is_asked_is_another_value(text: str, name: str, value: float 
 @pytest.mark.parametrize("text", ["site = {latitude = 1}\n", "site.latitude = 1\n", "[[site]]\nlatitude = 1\n"])
 def test_a_form_that_cannot_be_changed_in_place_is_refused_by_its_setting(text: str) -> None:
     with pytest.raises(InputError) as refused:
-        with_values(text, {"site.latitude": 2})
+        replace_values(text, {"site.latitude": 2})
     assert refused.value.field == "site.latitude"
 
 

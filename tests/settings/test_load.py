@@ -15,7 +15,7 @@ from annotated_types import Ge, Gt, Le, Lt
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.selection import SelectionOptions
 from sunarc.changes.values import WatchOptions
-from sunarc.common.bounds import OneOf, bounds_of
+from sunarc.common.bounds import OneOf, declared_bounds
 from sunarc.common.errors import ConfigurationError, InputError
 from sunarc.common.foreign_files import MOST_SETTINGS_BYTES
 from sunarc.detection.values import DiscOptions
@@ -54,7 +54,7 @@ def bounds_by_name() -> dict[str, tuple[Bound, ...]]:
         f"{section}.{field}": bounds
         for section, options in sections.items()
         if options is not None
-        for field, bounds in bounds_of(options).items()
+        for field, bounds in declared_bounds(options).items()
     }
     return {name: found.get(name, ()) for name in NAMES}
 

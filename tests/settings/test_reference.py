@@ -19,9 +19,9 @@ from sunarc.imager.archive.day_digests import LEAST_KEPT
 from sunarc.imager.settings.reference import (
     all_settings,
     as_markdown,
-    attributes_of,
     dataclass_in,
-    of_options,
+    documented_attributes,
+    list_settings,
     toml_text,
     type_name,
 )
@@ -62,7 +62,7 @@ def test_an_attribute_section_is_read_over_several_lines() -> None:
         """
 
     Documented.__doc__ = (Documented.__doc__ or "").replace("\n    ", "\n")  # as at the top level of a module
-    assert attributes_of(Documented) == {
+    assert documented_attributes(Documented) == {
         "first": "two of them, on two lines.",
         "second": "two of them, on two lines.",
         "third": "one.",
@@ -99,12 +99,12 @@ class Outer:
 
 
 def test_options_within_options_get_a_dotted_path_in_the_order_of_the_fields() -> None:
-    names = [setting.name for setting in of_options(Outer, "outer")]
+    names = [setting.name for setting in list_settings(Outer, "outer")]
     assert names == ["outer.size", "outer.levels", "outer.kind", "outer.inner.depth"]
 
 
 def test_each_setting_has_its_default_bounds_and_meaning() -> None:
-    found = {one.name: (one.default, one.allowed, one.meaning) for one in of_options(Outer, "outer")}
+    found = {one.name: (one.default, one.allowed, one.meaning) for one in list_settings(Outer, "outer")}
     assert found["outer.size"] == ("required", "a whole number", "px.")
     assert found["outer.levels"] == ("[0.5, 1.0]", "a list of numbers", "several.")
     assert found["outer.kind"] == ('"a"', 'one of "a", "b"', "which.")

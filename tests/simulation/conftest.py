@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from sunarc.imager.runtime.clock import SystemClock
-from sunarc.lab.simulation.imager import ImagerOptions, scene_of
+from sunarc.lab.simulation.imager import ImagerOptions, make_scene
 from sunarc.lab.simulation.options import SceneOptions, SimulatedNight
 from sunarc.lab.simulation.scene import Scene
 from sunarc.lab.simulation.truth import SGP, true_camera
@@ -43,7 +43,7 @@ class Imager:
     ) -> None:
         self._options, self._start = OPTIONS | options, start
         scene = SceneOptions() if night is None else SceneOptions(night=SimulatedNight(**night))
-        self.scene = scene_of(ImagerOptions(**self._options, start=start, scene=scene))
+        self.scene = make_scene(ImagerOptions(**self._options, start=start, scene=scene))
         self._options |= {} if night is None else {"night": night}
         self.truth = folder / "truth.json"
         self._process: subprocess.Popen[bytes] | None = None

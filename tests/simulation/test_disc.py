@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from sunarc.lab.simulation.scene_parts import disc_points, stamp_of
+from sunarc.lab.simulation.scene_parts import disc_points, make_stamp
 from sunarc.lab.simulation.truth import true_camera
 from sunarc.optics.forward import local_stretch, project
 from sunarc.sky.directions import direction_from_angles
@@ -36,7 +36,7 @@ def test_the_stamp_is_what_brute_force_gives() -> None:
         direction = direction_from_angles(zenith_deg=zenith_deg, azimuth_deg=200.0)
         points = disc_points(camera, direction, limb_darkening=0.6)
         assert points is not None
-        stamp = stamp_of(points.pixel, points.weight_px, sigma_px=_SIGMA_PX)
+        stamp = make_stamp(points.pixel, points.weight_px, sigma_px=_SIGMA_PX)
         reference = by_brute_force(
             project(camera, direction),
             local_stretch(camera, direction),
@@ -56,7 +56,7 @@ def test_the_stamp_s_centroid_is_the_sun_and_its_sum_the_disc_s_light(
     direction = direction_from_angles(zenith_deg=zenith_deg, azimuth_deg=azimuth_deg)
     points = disc_points(camera, direction, limb_darkening=0.6)
     assert points is not None
-    stamp = stamp_of(points.pixel, points.weight_px, sigma_px=sigma_px)
+    stamp = make_stamp(points.pixel, points.weight_px, sigma_px=sigma_px)
     rows, columns = np.indices(stamp.values.shape)
     total = stamp.values.sum()
     found = np.array([(columns * stamp.values).sum() / total + stamp.x, (rows * stamp.values).sum() / total + stamp.y])

@@ -13,7 +13,7 @@ import pytest
 
 from sunarc.common.errors import ConfigurationError, InputError
 from sunarc.lab.simulation.fake_camera import genicam_xml
-from sunarc.lab.simulation.imager import ImagerOptions, run_imager, scene_of
+from sunarc.lab.simulation.imager import ImagerOptions, make_scene, run_imager
 from sunarc.lab.simulation.options import SceneOptions, SensorModel
 from sunarc.lab.simulation.truth import true_camera
 
@@ -53,8 +53,8 @@ def test_wrong_scenes_and_sensors_are_refused(kind: type[SceneOptions | SensorMo
 
 def test_an_imager_shows_the_camera_that_it_is_given() -> None:
     given = replace(true_camera(), width=640, height=480)
-    assert scene_of(ImagerOptions(camera=given, lens_seed=3)).camera == given
-    assert scene_of(ImagerOptions(lens_seed=3)).camera == true_camera(3)
+    assert make_scene(ImagerOptions(camera=given, lens_seed=3)).camera == given
+    assert make_scene(ImagerOptions(lens_seed=3)).camera == true_camera(3)
 
 
 def test_a_machine_without_aravis_is_told_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -203,7 +203,7 @@ def test_a_measured_air_bends_the_light_of_a_star_as_the_sun_s() -> None:
     sky = night_sky(moment, site, faintest=3.0)
     times, cold = np.full(len(sky), moment), np.full(len(sky), -20.0)
     found = body_directions(sky.names, times, site, temperature=cold, pressure=np.full(len(sky), np.nan))
-    expected = night_sky(moment, site.with_air(temperature=-20.0, pressure=None), faintest=3.0)
+    expected = night_sky(moment, site.replace_air(temperature=-20.0, pressure=None), faintest=3.0)
     low = expected.directions[:, 2] > 0.0
     np.testing.assert_allclose(found[: low.sum()], expected.directions[low][: len(found)], rtol=0.0, atol=1e-14)
     assert np.max(angular_distance(found, sky.directions)) > 1e-6

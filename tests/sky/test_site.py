@@ -45,10 +45,10 @@ def test_the_air_is_bounded_on_both_sides(field: str, accepted: float, refused: 
 
 def test_a_site_in_other_air_keeps_its_place_and_what_was_not_measured() -> None:
     site = Site(latitude=36.6, longitude=-97.5, altitude=318.0, temperature=15.0)
-    warm = site.with_air(temperature=35.0, pressure=None)
+    warm = site.replace_air(temperature=35.0, pressure=None)
     assert (warm.latitude, warm.longitude, warm.altitude) == (36.6, -97.5, 318.0)
     assert (warm.temperature, warm.pressure_pa) == (35.0, site.pressure_pa)
-    assert site.with_air(temperature=None, pressure=97_000.0).pressure_pa == 97_000.0
+    assert site.replace_air(temperature=None, pressure=97_000.0).pressure_pa == 97_000.0
 
 
 @pytest.mark.parametrize(("altitude", "pressure"), [(0.0, 101_325.0), (1000.0, 89_875.0), (5000.0, 54_020.0)])

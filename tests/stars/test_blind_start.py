@@ -163,7 +163,7 @@ def with_fitted(camera: Camera, values: np.ndarray) -> Camera:
     vector = camera.to_vector()
     vector[FITTED] = values
     vector[Param.FOCAL_LENGTH_Y_PX] = vector[Param.FOCAL_LENGTH_X_PX]
-    return camera.with_parameters(vector)
+    return camera.replace_parameters(vector)
 
 
 def refined_by_definition(

@@ -14,11 +14,11 @@ from sunarc.common.array_types import FloatArray
 from sunarc.stars.sky_turn import (
     SearchRange,
     Turns,
-    angle_of_radius,
+    angle_to_radius,
     count_on_detections,
     focal_lengths,
-    pairs_of,
-    radius_of_angle,
+    image_pairs,
+    radius_to_angle,
     turnings,
 )
 
@@ -29,12 +29,12 @@ DAY_S = 86_164.0905
 def test_pairs_are_turned_by_3_to_45_degrees_those_nearest_to_15_first() -> None:
     some = [np.full((n, 2), float(k)) for k, n in enumerate((20, 15, 14, 40, 40, 40))]
     times = [DAY_S / 360.0 * degrees for degrees in (0.0, 2.9, 14.0, 17.0, 47.5, 20.5)]
-    found = [(int(one.first[0, 0]), int(one.second[0, 0]), math.degrees(one.turn)) for one in pairs_of(times, some)]
+    found = [(int(one.first[0, 0]), int(one.second[0, 0]), math.degrees(one.turn)) for one in image_pairs(times, some)]
     assert [one[:2] for one in found] == [(1, 3), (0, 3), (1, 5)]
     assert [one[2] for one in found] == pytest.approx([14.1, 17.0, 17.6])
     for degrees, count in ((2.9, 0), (3.1, 1), (44.9, 1), (45.1, 0)):
-        assert len(pairs_of([0.0, DAY_S / 360.0 * degrees], [some[3], some[4]])) == count
-    assert len(pairs_of([0.0, DAY_S / 24.0], [some[3], some[1][:14]])) == 0
+        assert len(image_pairs([0.0, DAY_S / 360.0 * degrees], [some[3], some[4]])) == count
+    assert len(image_pairs([0.0, DAY_S / 24.0], [some[3], some[1][:14]])) == 0
 
 
 @pytest.mark.parametrize("shape", [-0.5, 0.0, 0.5])
@@ -57,7 +57,7 @@ def test_the_share_of_rays_that_come_near_detections_less_that_of_chance(shape: 
     angles, reach, largest = np.array([0.3, 0.2, 0.3]), 0.05, 1.4
     there = Rotation.from_rotvec(0.3 * poles[0]).apply(rays)
     off, round_ = np.arctan2(np.hypot(there[:, 0], there[:, 1]), there[:, 2]), np.arctan2(there[:, 1], there[:, 0])
-    onto = radius_of_angle(off, shape)[:, None] * np.stack([np.cos(round_), np.sin(round_)], axis=-1)
+    onto = angle_to_radius(off, shape)[:, None] * np.stack([np.cos(round_), np.sin(round_)], axis=-1)
     onto = onto[off < largest][:30] + rng.normal(0.0, 0.01, (30, 2))
     found = count_on_detections(rays, onto, Turns(poles, angles), shape=shape, reach=reach, largest=largest)
     half = float(np.quantile(np.abs(onto).max(axis=-1), 0.98)) + 2.0 * reach
@@ -69,7 +69,7 @@ def test_the_share_of_rays_that_come_near_detections_less_that_of_chance(shape: 
         turned = Rotation.from_rotvec(angles[k] * poles[k]).apply(rays)
         theta = np.arctan2(np.hypot(turned[:, 0], turned[:, 1]), turned[:, 2])
         inside = theta <= largest
-        at = radius_of_angle(theta, shape)[:, None] * turned[:, :2] / np.hypot(turned[:, 0], turned[:, 1])[:, None]
+        at = angle_to_radius(theta, shape)[:, None] * turned[:, :2] / np.hypot(turned[:, 0], turned[:, 1])[:, None]
         hit = inside & (np.min(np.linalg.norm(at[:, None] - onto, axis=-1), axis=1) <= reach)
         share = float(np.sum(hit)) / max(float(np.sum(inside)), 16.0)
         assert found[k] == pytest.approx((share - chance) / (1.0 - chance), abs=0.04)
@@ -96,12 +96,12 @@ def turning_images(*, mirrored: bool) -> tuple[list[float], list[FloatArray]]:
 def test_lens_and_pole_come_of_what_turns(*, mirrored: bool) -> None:
     times, images = turning_images(mirrored=mirrored)
     field = SearchRange(centre=(319.5, 300.0), radius_px=(280.0, 350.0), polar_rad=(0.75, 1.0), width=640)
-    found = turnings(pairs_of(times, images), field)
+    found = turnings(image_pairs(times, images), field)
     best = found[0]
     assert best.mirrored == mirrored
     np.testing.assert_allclose(best.centre, [330.0, 305.0], atol=1.0)
     np.testing.assert_allclose(best.pole, [math.sin(0.87), 0.0, math.cos(0.87)], atol=0.01)
-    assert 200.0 * angle_of_radius(np.array(100.0 / best.focal_px), best.shape) == pytest.approx(100.0, abs=1.0)
+    assert 200.0 * radius_to_angle(np.array(100.0 / best.focal_px), best.shape) == pytest.approx(100.0, abs=1.0)
     assert best.share > 0.8
     numbers = [best.focal_px, best.share, *best.centre, *(one.share for one in found)]
     stored = Path(__file__).parent / "stored_answers.json"

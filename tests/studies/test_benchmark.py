@@ -18,9 +18,15 @@ from tests.fixtures.command_line import Sunarc, sunarc
 
 from sunarc.common.array_types import FloatArray
 from sunarc.common.errors import InputError
-from sunarc.lab.studies.benchmark_cases import CONDITIONS, LENSES, BenchmarkTruth, benchmark_case, sides_of
+from sunarc.lab.studies.benchmark_cases import (
+    CONDITIONS,
+    LENSES,
+    BenchmarkTruth,
+    benchmark_case,
+    neighbouring_directions,
+)
 from sunarc.lab.studies.benchmark_files import read_case, read_entry, read_round, read_truth, truth_hash, write_round
-from sunarc.lab.studies.benchmark_scores import Answered, BandScore, Score, answers_of, calibrate_case, score
+from sunarc.lab.studies.benchmark_scores import Answered, BandScore, Score, calibrate_case, collect_answers, score
 from sunarc.sky.directions import angles_from_direction, direction_from_angles
 
 __all__ = ["sunarc"]
@@ -48,7 +54,7 @@ def truth_of(count: int = COUNT, *, answerable: bool = True) -> BenchmarkTruth:
 
 def off_by(truth: BenchmarkTruth, down_deg: FloatArray | float, across_deg: FloatArray | float = 0.0) -> FloatArray:
     """Return the directions of a truth turned on the sphere, degrees to larger zenith angles and azimuths."""
-    down, across = sides_of(truth.directions)
+    down, across = neighbouring_directions(truth.directions)
     step = np.multiply(np.radians(down_deg), down.T).T + np.multiply(np.radians(across_deg), across.T).T
     size = np.linalg.norm(step, axis=-1, keepdims=True)
     along = step / np.maximum(size, 1e-300)
@@ -297,7 +303,7 @@ def test_a_truth_has_the_slopes_of_its_own_pixels(number: int) -> None:
     i, j = np.unravel_index(np.argmax(cosines), cosines.shape)
     middle = replace(truth, directions=truth.directions[[i]])
     change = truth.directions[j] - truth.directions[i]
-    tangent = np.degrees([float(np.sum(change * side)) for side in sides_of(middle.directions)])
+    tangent = np.degrees([float(np.sum(change * side)) for side in neighbouring_directions(middle.directions)])
     shift = truth.pixels[j] - truth.pixels[i]
     assert np.linalg.norm(shift - truth.px_per_deg[i] @ tangent) < 0.1 * np.linalg.norm(shift)
     assert len(case.apparent) == len(case.sightings)
@@ -343,7 +349,7 @@ def test_the_command_makes_runs_and_scores_a_round(tmp_path: Path, sunarc: Sunar
     # a document is scored as the table of its directions is
     case = read_case(folder / "cases" / "s000")
     table = read_entry(entry, read_truth(folder / "truth"))["s000"]
-    direct = answers_of(calibrate_case(case, "robust"), case.queries)
+    direct = collect_answers(calibrate_case(case, "robust"), case.queries)
     assert np.allclose(table.directions, direct.directions, atol=1e-7)
     assert table.covariance is not None
     assert direct.covariance is not None
@@ -379,6 +385,6 @@ def test_the_second_generator_shares_no_code_with_the_package(tmp_path: Path) ->
     (tmp_path / "truth" / "benchmark.json").write_text(json.dumps({"cases": {name: about}}))
     truth = read_truth(tmp_path / "truth")[name]
     case = read_case(tmp_path / "cases" / name)
-    found = score("ours", {name: truth}, {name: answers_of(calibrate_case(case, "robust"), case.queries)})
+    found = score("ours", {name: truth}, {name: collect_answers(calibrate_case(case, "robust"), case.queries)})
     assert (found.lost, found.refused_wrongly, found.wrong) == (0, 0, 0)
     assert band(found).median_deg < 0.1

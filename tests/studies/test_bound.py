@@ -9,7 +9,7 @@ from sunarc.calibration.model.options import Method
 from sunarc.calibration.solve.priors import precisions
 from sunarc.lab.simulation.truth import true_camera
 from sunarc.lab.studies.trials import Trial, run_trials, synthetic_arc
-from sunarc.lab.studies.uncertainty import cramer_rao_bound, prior_of
+from sunarc.lab.studies.uncertainty import cramer_rao_bound, make_prior
 from sunarc.optics.camera import POSE
 from sunarc.optics.forward import project_with_jacobian
 
@@ -28,7 +28,7 @@ def test_the_paper_s_bound_on_the_arc_is_that_of_17_free_parameters() -> None:
 
 
 def test_the_paper_s_constraints_hold_skew_aspect_and_c1() -> None:
-    basis, precision = prior_of(TRUTH, method="paper")
+    basis, precision = make_prior(TRUTH, method="paper")
     assert basis.shape == (23, 17)
     assert not np.any(precision)
     assert np.allclose(basis[0], basis[1], atol=1e-12)
@@ -37,7 +37,7 @@ def test_the_paper_s_constraints_hold_skew_aspect_and_c1() -> None:
 
 
 def test_the_service_s_priors_hold_the_lens_and_not_the_pose() -> None:
-    basis, precision = prior_of(TRUTH, method="robust")
+    basis, precision = make_prior(TRUTH, method="robust")
     assert basis.shape == (23, 20)
     assert np.array_equal(basis[POSE, 17:], np.eye(3))
     assert not np.any(basis[8:11])
@@ -56,7 +56,7 @@ def test_the_priors_make_the_bound_smaller_and_less_than_proportional() -> None:
 def test_the_bound_s_covariance_is_that_of_the_normal_equations() -> None:
     """The same by the textbook's inverse, where it is well enough conditioned: with the priors."""
     arc, sigma = synthetic_arc(), 0.5
-    basis, precision = prior_of(TRUTH, method="robust")
+    basis, precision = make_prior(TRUTH, method="robust")
     rows = project_with_jacobian(TRUTH, arc.directions)[1].reshape(-1, 23) @ basis
     covariance = basis @ np.linalg.inv(rows.T @ rows / sigma**2 + np.diag(precision)) @ basis.T
     bound = cramer_rao_bound(TRUTH, arc.directions, method="robust", sigma_px=sigma)

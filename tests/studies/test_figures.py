@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.quiver import Quiver
 from tests.fixtures.calibration import ideal_camera, stated_calibration
 
-from sunarc.calibration.answers.residuals import Residuals, residuals_of, used_sightings
+from sunarc.calibration.answers.residuals import Residuals, compute_residuals, used_sightings
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.optics.forward import project
 from sunarc.public.plots import (
@@ -154,7 +154,7 @@ def points_of(offsets: list[tuple[float, float]], *, sigma: list[float] | None =
 
 def test_residuals_are_the_offsets_that_were_put_in() -> None:
     points, made = points_of([(0.5, -0.25), (0.0, 3.0)])
-    found = residuals_of(made, points)
+    found = compute_residuals(made, points)
     np.testing.assert_allclose(found.offset_px, [(0.5, -0.25), (0.0, 3.0)], atol=1e-9)
 
 
@@ -164,7 +164,7 @@ def test_a_radial_offset_of_a_pixel_is_the_inverse_of_the_focal_length() -> None
         points.pixels - np.array(CAMERA.principal_point_px)
     )
     moved = replace(points, pixels=points.pixels + outward)
-    assert residuals_of(made, moved).offset_deg == pytest.approx([math.degrees(1.0 / 200.0)], rel=1e-6)
+    assert compute_residuals(made, moved).offset_deg == pytest.approx([math.degrees(1.0 / 200.0)], rel=1e-6)
 
 
 def test_of_other_sightings_those_nearest_in_their_own_sigmas_were_used() -> None:

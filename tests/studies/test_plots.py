@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sunarc.calibration.answers.covariance import sigma_deg
-from sunarc.calibration.answers.residuals import residuals_of
+from sunarc.calibration.answers.residuals import compute_residuals
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
@@ -41,7 +41,7 @@ def test_a_calibration_s_figures_are_pngs_of_the_stated_size_and_leave_matplotli
 
 
 def test_the_sightings_that_were_moved_are_the_rejected_ones(cloudy_fit: Calibration, cloudy_points: Sightings) -> None:
-    residuals = residuals_of(cloudy_fit, cloudy_points)
+    residuals = compute_residuals(cloudy_fit, cloudy_points)
     moved = np.arange(len(cloudy_points)) % 10 == 0
     assert not np.any(residuals.used & moved)
     assert residuals.used.sum() == cloudy_fit.evidence.n_used
@@ -50,7 +50,7 @@ def test_the_sightings_that_were_moved_are_the_rejected_ones(cloudy_fit: Calibra
 
 def test_an_offset_of_a_pixel_is_about_a_tenth_of_a_degree(cloudy_fit: Calibration, cloudy_points: Sightings) -> None:
     """One px is 0.095° at the zenith of this lens, 0.135° across the radius at the horizon (equisolid, 601 px)."""
-    residuals = residuals_of(cloudy_fit, cloudy_points)
+    residuals = compute_residuals(cloudy_fit, cloudy_points)
     scale = residuals.offset_deg / np.linalg.norm(residuals.offset_px, axis=-1)
     assert scale.min() > 0.06
     assert scale.max() < 0.14
@@ -59,7 +59,7 @@ def test_an_offset_of_a_pixel_is_about_a_tenth_of_a_degree(cloudy_fit: Calibrati
 def test_both_rejected_and_used_sightings_are_named_in_the_key(
     cloudy_fit: Calibration, cloudy_points: Sightings
 ) -> None:
-    figure = residual_figure(cloudy_fit, residuals_of(cloudy_fit, cloudy_points))
+    figure = residual_figure(cloudy_fit, compute_residuals(cloudy_fit, cloudy_points))
     labels = {text for axes in figure.axes for text in axes.get_legend_handles_labels()[1]}
     assert {"x, used", "y, used"} <= labels
     assert any(label.startswith("rejected") for label in labels)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sunarc.calibration.answers.direction_table import lookup
-from sunarc.calibration.answers.residuals import residuals_of
+from sunarc.calibration.answers.residuals import compute_residuals
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.optics.forward import project
@@ -104,7 +104,7 @@ def test_a_sheet_has_its_size_and_room_for_labels() -> None:
 
 
 def test_residuals_are_observed_minus_predicted(cloudy_fit: Calibration, cloudy_points: Sightings) -> None:
-    found = residuals_of(cloudy_fit, cloudy_points)
+    found = compute_residuals(cloudy_fit, cloudy_points)
     directions = sun_directions(cloudy_points.unix_s, cloudy_fit.site)
     camera = replace(cloudy_fit.camera, rotation_cam_enu=cloudy_fit.poses[0])
     assert len(found.used) == len(cloudy_points)
@@ -119,20 +119,20 @@ def test_sightings_that_are_not_finite_or_below_the_horizon_are_left_out(
     times, pixels = cloudy_points.unix_s.copy(), cloudy_points.pixels.copy()
     times[0], pixels[1, 0] = math.nan, math.nan
     times[2] -= 6 * 3600.0  # at night
-    found = residuals_of(cloudy_fit, replace(cloudy_points, unix_s=times, pixels=pixels))
+    found = compute_residuals(cloudy_fit, replace(cloudy_points, unix_s=times, pixels=pixels))
     assert len(found.used) == len(cloudy_points) - 3
     assert np.isfinite(found.offset_px).all()
 
 
 def test_of_other_sightings_the_nearest_count_as_used(cloudy_fit: Calibration, cloudy_points: Sightings) -> None:
-    found = residuals_of(replace(cloudy_fit, left_out=None), cloudy_points)
+    found = compute_residuals(replace(cloudy_fit, left_out=None), cloudy_points)
     distance = np.linalg.norm(found.offset_px, axis=-1)
     assert found.used.sum() == cloudy_fit.evidence.n_used
     assert distance[found.used].max() <= distance[~found.used].min()
 
 
 def test_rejected_sightings_beyond_a_panel_stand_on_its_edge(cloudy_fit: Calibration, cloudy_points: Sightings) -> None:
-    figure = residual_figure(cloudy_fit, residuals_of(cloudy_fit, cloudy_points))
+    figure = residual_figure(cloudy_fit, compute_residuals(cloudy_fit, cloudy_points))
     panel = figure.axes[0]
     low, high = panel.get_ylim()
     assert low == -high
@@ -146,7 +146,7 @@ def test_the_map_of_the_sky_has_north_and_east_where_the_picture_has_them(
     cloudy_fit: Calibration, cloudy_points: Sightings, *, mirrored: bool
 ) -> None:
     fit = replace(cloudy_fit, camera=replace(cloudy_fit.camera, mirrored=mirrored))
-    figure = sky_figure(fit, residuals_of(fit, cloudy_points))
+    figure = sky_figure(fit, compute_residuals(fit, cloudy_points))
     axes = figure.axes[0]
     azimuth_deg = np.arange(0.0, 360.0, 45.0)
     places = axes.transData.transform(np.column_stack([np.radians(azimuth_deg), np.full(8, 30.0)]))
@@ -160,7 +160,7 @@ def test_the_map_of_the_sky_has_north_and_east_where_the_picture_has_them(
 
 
 def test_the_map_of_the_sky_shows_the_suns_that_were_used(cloudy_fit: Calibration, cloudy_points: Sightings) -> None:
-    axes = sky_figure(cloudy_fit, residuals_of(cloudy_fit, cloudy_points)).axes[0]
+    axes = sky_figure(cloudy_fit, compute_residuals(cloudy_fit, cloudy_points)).axes[0]
     drawn = next(line for line in axes.lines if line.get_label() == "the sun, where it was used")
     assert len(np.asarray(drawn.get_xdata())) == cloudy_fit.evidence.n_used
 
@@ -173,7 +173,7 @@ def test_the_image_s_maps_are_as_the_picture_with_the_horizon_s_letters_at_their
     east = project(fit.camera, direction_from_angles(zenith_deg=90.0, azimuth_deg=90.0))
     sheet = new_sheet(width_px=500, height_px=500)
     for axes in (
-        draw_arrows(sheet.add_subplot(1, 2, 1), fit.camera, residuals_of(fit, cloudy_points)),
+        draw_arrows(sheet.add_subplot(1, 2, 1), fit.camera, compute_residuals(fit, cloudy_points)),
         draw_uncertainty(sheet.add_subplot(1, 2, 2), fit, lookup(fit)),
     ):
         assert axes.get_xlim() == (-0.5, 1747.5)

@@ -27,8 +27,8 @@ from sunarc.lab.studies.shadow import (
     pair_height,
     ramp_error,
     shadow_place,
+    study_calibrated_shadow,
     study_shadow,
-    study_shadow_of,
 )
 from sunarc.sky.directions import direction_from_angles
 
@@ -110,7 +110,7 @@ def test_errors_grow_in_proportion_and_a_longer_baseline_gives_a_better_height()
 
 def test_the_errors_of_a_calibration_are_those_it_states() -> None:
     made = replace(stated_calibration(small_camera()), sky_rms_deg=0.2)
-    rows = study_shadow_of(made, draws=300, seed=1)
+    rows = study_calibrated_shadow(made, draws=300, seed=1)
     known = {row.height_m: row.shadow_sigma_m for row in rows}
     sky = direction_from_angles(zenith_deg=np.linspace(0.0, 60.0, 40), azimuth_deg=np.linspace(0.0, 360.0, 40))
     stated = math.radians(float(np.median(sigma_deg(made, sky))))

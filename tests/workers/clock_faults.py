@@ -27,7 +27,7 @@ from sunarc.detection.values import Detection
 from sunarc.formats.calibration_document import from_document, to_document
 from sunarc.imager.app.service import Service
 from sunarc.imager.archive.archive import open_archive
-from sunarc.imager.archive.sightings import sun_point_of
+from sunarc.imager.archive.sightings import make_sun_point
 from sunarc.imager.archive.values import CameraRecord, Event
 from sunarc.imager.cameras.frame import Frame, SkyCamera
 from sunarc.imager.cameras.options import AravisOptions
@@ -73,7 +73,7 @@ def hand_on(service: Service, x: float, y: float, *, moment: datetime, sigma_px:
         frame_id=1,
     )
     error_s = service.clock_watch.error_s(moment)
-    point = sun_point_of(detection, camera="roof", pose_epoch="", time=moment, clock_error_s=error_s)
+    point = make_sun_point(detection, camera="roof", pose_epoch="", time=moment, clock_error_s=error_s)
     service.keeper.keep(point)
     service.report(frame, detection)
     while service.watch.process_next():

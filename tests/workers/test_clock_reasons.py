@@ -6,7 +6,7 @@ from datetime import UTC, datetime, timedelta, timezone
 
 import pytest
 
-from sunarc.imager.workers.clock_watch import ClockStep, camera_offset, cost_of_clock, stepped
+from sunarc.imager.workers.clock_watch import ClockStep, camera_offset, clock_cost_text, stepped
 
 AT = datetime(2013, 5, 13, 18, 30, 0, 250_000, tzinfo=UTC)
 
@@ -37,8 +37,8 @@ def test_an_offset_of_tai_less_utc_is_named_with_the_setting(offset_s: float, sc
 
 def test_a_clock_that_nothing_corrects_is_priced_in_degrees() -> None:
     """The sun turns by 360 degrees in a day: 0.0042 in a second; 50 ppm are 4.3 s and 0.02 degrees a day."""
-    assert "0.0042°" in cost_of_clock(None)
-    assert "1-sigma" not in cost_of_clock(None)
-    calibrated = cost_of_clock(0.0123)
+    assert "0.0042°" in clock_cost_text(None)
+    assert "1-sigma" not in clock_cost_text(None)
+    calibrated = clock_cost_text(0.0123)
     for value in ("1-sigma of 0.012°", "0.0042°", "0.02° more each day"):
         assert value in calibrated

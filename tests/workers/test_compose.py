@@ -22,7 +22,7 @@ from sunarc.imager.workers.compose import ComposeWorker, image_document
 from sunarc.imager.workers.options import SensorOptions
 from sunarc.imager.workers.sun_prediction import SunPredictor
 from sunarc.imaging.hdr import HdrImage
-from sunarc.imaging.metadata import document_of
+from sunarc.imaging.metadata import embedded_document
 from sunarc.sky.site import Site
 
 from .conftest import NOON
@@ -73,7 +73,7 @@ def test_a_composite_is_linear_in_light_and_says_how_it_was_made(
     composer(store, predictor, board).compose(cycle(pixel_format=pixel_format))
     path = store.newest(kind="hdr.png")
     assert path is not None
-    document = document_of(path.read_bytes())
+    document = embedded_document(path.read_bytes())
     assert document is not None
     counts = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     assert counts is not None
@@ -100,7 +100,7 @@ def test_the_preview_says_the_same_as_the_composite(
     assert shown is not None
     with Pictures.open(shown) as picture:
         said = json.loads(picture.info["comment"])
-    assert {**said, "preview": False} == document_of(composite.read_bytes())
+    assert {**said, "preview": False} == embedded_document(composite.read_bytes())
     assert said["preview"]
 
 

@@ -29,7 +29,7 @@ from sunarc.imager.commands.calibrate_archive import reproduce_calibration
 from sunarc.imager.runtime.clock import VirtualClock
 from sunarc.imager.runtime.status import StatusRegistry
 from sunarc.imager.workers.calibrating.refit import SEARCHED, EpochSearch, RefitWorker
-from sunarc.imager.workers.calibrating.solver_process import SolveProblem, SolverDiedError, points_of
+from sunarc.imager.workers.calibrating.solver_process import SolveProblem, SolverDiedError, columns_to_sightings
 from sunarc.lab.simulation.truth import SGP, true_camera
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
@@ -143,7 +143,7 @@ def test_a_turn_in_an_imported_record_gets_an_epoch_and_a_calibration_on_either_
     epochs, answers = archive.epochs.find("roof"), archive.calibrations.find("roof")
     assert {answer.pose_epoch for answer in answers} == {"roof-1", "roof-2"}
     past = next(answer for answer in answers if answer.pose_epoch == "roof-1")
-    points = points_of(archive.calibrations.sightings_of(past.id), latest="roof-1")
+    points = columns_to_sightings(archive.calibrations.sightings_given_to(past.id), latest="roof-1")
     again = reproduce_calibration(from_document(past.document), points)
     assert np.allclose(again.camera.to_vector(), from_document(past.document).camera.to_vector(), atol=1e-9)
     refit("b")

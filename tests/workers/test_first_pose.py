@@ -15,7 +15,7 @@ from tests.workers.test_watch import DAY, NOON, SIZE, TRUTH, Imager, off_in_sigm
 
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.lens_library.first_pose import north_sigma_deg
-from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread, frame_of, type_camera
+from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread, lens_frame, type_camera
 from sunarc.calibration.model.options import CalibrationOptions, FirstPoseOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
@@ -41,7 +41,7 @@ LEVEL = replace(TRUTH, max_angle=2.0)
 @pytest.fixture(scope="module")
 def lens() -> LensType:
     """Return a type that the simulated lens is a unit of."""
-    frame = frame_of(TRUTH)
+    frame = lens_frame(TRUTH)
     scales = SPREAD.scales(TRUTH.focal_length_px[0])
     mean = frame.whitened(TRUTH) + 0.7 * scales * np.random.default_rng(2).standard_normal(17)
     return LensType(

@@ -180,7 +180,7 @@ def test_slots_with_a_frozen_image_are_not_observed_whatever_it_shows(
     assert worker.process(replace(clouds, time=START + timedelta(seconds=30))).verdict == FROZEN
     assert worker.process(frame_at(60.0)).accepted
     assert worker.process(frame_at(90.0, shown_s=60.0)).verdict == FROZEN
-    observed = archive.sightings.observation_times("roof", since=START, until=START + timedelta(hours=1))
+    observed = archive.sightings.exposure_times("roof", since=START, until=START + timedelta(hours=1))
     assert observed is not None
     assert (observed - START.timestamp()).tolist() == [0.0, 60.0]
 

@@ -95,7 +95,7 @@ def test_a_calibration_tells_how_its_sightings_were_picked(lived: Lived) -> None
     current = lived.run.archive.calibrations.current("roof")
     assert current is not None
     told = current.document["evidence"]["selection"]
-    used = lived.run.archive.calibrations.sightings_of(current.id)
+    used = lived.run.archive.calibrations.sightings_given_to(current.id)
     assert told["n_supplied"] - told["n_other_days"] - told["n_repeated"] == used.ids.size
     assert current.document["evidence"]["days"] == ["2013-05-13", "2013-05-15", "2013-05-18"]
 
@@ -133,7 +133,7 @@ def test_sightings_deleted_by_hand_are_told_and_the_service_carries_on(lived: Li
     if current.id == served.id:
         assert [event.severity for event in told] == ["alarm"]
     with pytest.raises(InputError, check=lambda error: error.field == f"calibration {served.id}"):
-        archive.calibrations.sightings_of(served.id)
+        archive.calibrations.sightings_given_to(served.id)
     error, stated, _ = judged_against(run.truth, from_document(current.document))
     assert error < 3.0 * stated
     archive.close()

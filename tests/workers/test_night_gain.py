@@ -15,7 +15,7 @@ from sunarc.imager.cameras.frame import Frame
 from sunarc.imager.runtime.clock import VirtualClock
 from sunarc.imager.runtime.status import StatusRegistry
 from sunarc.imager.workers.night.gain import CODE, NightGain
-from sunarc.imager.workers.options import SensorOptions, sensor_of
+from sunarc.imager.workers.options import SensorOptions, frame_sensor
 from sunarc.lab.simulation.options import SceneOptions, SimulatedNight
 from sunarc.lab.simulation.scene import Scene
 from sunarc.lab.simulation.truth import SGP
@@ -51,8 +51,8 @@ def test_one_exposure_has_the_raised_gain_and_the_next_has_not(
     ratio = (float(np.median(raised.image)) - black) / (float(np.median(usual.image)) - black)
     assert 3.0 < ratio < 5.0
     options = SensorOptions()
-    assert sensor_of(raised, options).gain_e_per_count == pytest.approx(
-        sensor_of(usual, options).gain_e_per_count / 10.0 ** (12.0 / 20.0)
+    assert frame_sensor(raised, options).gain_e_per_count == pytest.approx(
+        frame_sensor(usual, options).gain_e_per_count / 10.0 ** (12.0 / 20.0)
     )
     assert codes(board) == set()
 

@@ -19,7 +19,7 @@ from sunarc.imager.archive.values import CameraRecord
 from sunarc.imager.workers.night.images import night_picture
 from sunarc.lab.simulation.truth import SGP
 from sunarc.optics.forward import project
-from sunarc.sky.night import body_directions, title_of
+from sunarc.sky.night import body_directions, common_name
 
 
 @pytest.fixture
@@ -106,6 +106,6 @@ def test_a_large_image_is_small_and_an_even_one_is_dark() -> None:
 
 
 def test_bodies_have_the_names_that_people_use() -> None:
-    assert [title_of(one) for one in ("star:HIP32349", "star:HIP11767", "star:HIP5", "venus")] == [
+    assert [common_name(one) for one in ("star:HIP32349", "star:HIP11767", "star:HIP5", "venus")] == [
         "Sirius", "Polaris", "HIP 5", "Venus",
     ]  # fmt: skip

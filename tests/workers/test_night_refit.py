@@ -20,7 +20,7 @@ from sunarc.common.utc import utc_time
 from sunarc.imager.archive.archive import Archive, CameraArchive
 from sunarc.imager.archive.values import CameraRecord, SunPoint
 from sunarc.imager.workers.calibrating.refit import RefitTask, next_task
-from sunarc.imager.workers.calibrating.solver_process import points_of
+from sunarc.imager.workers.calibrating.solver_process import columns_to_sightings
 from sunarc.lab.simulation.truth import SGP, true_camera
 from sunarc.optics.forward import project
 from sunarc.sky.night import body_directions, night_sky
@@ -115,7 +115,7 @@ def test_stars_beside_the_sun_make_the_sky_better_known_and_the_fit_is_reproduce
     kept = camera.archive.sightings.columns("roof", body=None).select(
         np.isin(camera.archive.sightings.columns("roof", body=None).ids, task.used.ids)
     )
-    again = points_of(kept, site=SGP)
+    again = columns_to_sightings(kept, site=SGP)
     np.testing.assert_array_equal(again.directions, task.problem.points.directions)
     np.testing.assert_array_equal(again.pixels, task.problem.points.pixels)
 

@@ -78,7 +78,7 @@ def test_a_refit_is_given_the_measured_air(archive: Archive) -> None:
     )  # fmt: skip
     assert isinstance(task, RefitTask)
     check_air(task.problem.points)
-    check_air(task.of_epoch("roof-1").points)
+    check_air(task.for_epoch("roof-1").points)
 
 
 def test_the_search_for_pose_epochs_is_given_the_measured_air(archive: Archive) -> None:

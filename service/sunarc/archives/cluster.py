@@ -104,10 +104,10 @@ class Cluster:
         while waiting or suspects or under_way:
             while waiting and len(under_way) < _AHEAD * max(self._threads(), 1):
                 task = waiting.popleft()
-                under_way[self._submitted(run, task[1])] = task
+                under_way[self._submit(run, task[1])] = task
             if not under_way:  # what was on a worker that died has killed it only if it does so alone
                 alone = suspects.popleft()
-                under_way[self._submitted(run, alone[1])] = alone
+                under_way[self._submit(run, alone[1])] = alone
             for future in self._finished(under_way):
                 outcome, result = _outcome(future)
                 if outcome == "waiting":
@@ -126,7 +126,7 @@ class Cluster:
                 under_way.clear()
                 self._reconnect()
 
-    def _submitted(self, run: Callable[[Given], Result], given: Given) -> Any:  # noqa: ANN401 - a future
+    def _submit(self, run: Callable[[Given], Result], given: Given) -> Any:  # noqa: ANN401 - a future
         # a key of its own: a chunk that is handed out again must not meet its former fate
         key = f"{getattr(run, '__name__', 'run')}-{os.getpid()}-{self.n_lost}-{next(self._ids)}"
         return self.client.submit(run, given, key=key, pure=False)

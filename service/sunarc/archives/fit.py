@@ -18,42 +18,42 @@ from sunarc.archives.states import (
     State,
     alternation,
     changed_states,
-    epochs_of,
+    correct_clock,
     find_epochs,
     find_states,
     joined,
+    split_epochs,
     surely_held,
-    with_true_clock,
 )
 from sunarc.calibration.acceptance import apart_sigmas
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions, Mirrored
 from sunarc.calibration.model.pose_change import PoseChange
-from sunarc.calibration.model.result import Calibration, refused_for, with_finding
+from sunarc.calibration.model.result import Calibration, add_finding, refused_for
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.pose import estimate_pose
 from sunarc.calibration.projection_choice import options_as_served
 from sunarc.calibration.quality.fit_checks import JudgedFit, is_tilt_shown
 from sunarc.calibration.quality.tilt import tilt_question
-from sunarc.calibration.quality.widening import with_larger_errors, with_pose_spread
-from sunarc.calibration.selection import select_sightings, surest_of_epochs
+from sunarc.calibration.quality.widening import add_pose_spread, scale_errors
+from sunarc.calibration.selection import pick_surest_in_epochs, select_sightings
 from sunarc.calibration.verdict import (
     ASKED,
     PARTS,
     SITE_ASSUMED,
+    add_stated_clock,
     findings,
     fired,
     is_undetermined,
     provisional,
-    with_clock,
 )
 from sunarc.changes.epoch_changes import (
     agreeing_days,
     change_within,
     drift_finding,
     drift_within,
-    is_of_lens,
-    noise_of_days,
+    estimate_daily_noise,
+    is_lens_change,
     spread_deg,
 )
 from sunarc.common.array_types import FloatArray, IntArray, even_parts, stacked
@@ -64,7 +64,7 @@ from sunarc.formats.calibration_document import to_document
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project_fast
 from sunarc.sky.sun import sun_directions
-from sunarc.sources.look import key_of
+from sunarc.sources.look import result_key
 
 _MOST_CHANGES = 12
 """Changes that are found within states: each is sought anew in both of its sides."""
@@ -78,7 +78,7 @@ class FittedPose(NamedTuple):
     stars: Sightings | None = None
 
 
-def with_changes_within(points: Sightings, states: Sequence[State], camera: ArchiveCamera) -> list[State]:
+def drop_small_changes(points: Sightings, states: Sequence[State], camera: ArchiveCamera) -> list[State]:
     """Return states without those of the changes that are smaller than a single sighting shows.
 
     Parameters
@@ -86,7 +86,7 @@ def with_changes_within(points: Sightings, states: Sequence[State], camera: Arch
     points : accepted sightings in the order of their stated times.
     states, camera : see there.
     """
-    noise, found, settled = noise_of_days(points, camera.site), list(states), set[tuple[int, int]]()
+    noise, found, settled = estimate_daily_noise(points, camera.site), list(states), set[tuple[int, int]]()
     for _ in range(_MOST_CHANGES):
         epochs, _ = find_epochs(points, found, camera)
         split = False
@@ -95,13 +95,13 @@ def with_changes_within(points: Sightings, states: Sequence[State], camera: Arch
             if (epoch.first, epoch.last) in settled:
                 continue
             settled.add((epoch.first, epoch.last))
-            of_epoch = points.select(rows)
+            for_epoch = points.select(rows)
             change = change_within(
-                camera.shifted(of_epoch, state.clock_offset_s), state.calibration.camera, camera.site, noise[rows]
+                camera.shifted(for_epoch, state.clock_offset_s), state.calibration.camera, camera.site, noise[rows]
             )
             if change is not None:
-                late = of_epoch.unix_s - state.clock_offset_s >= change.time
-                sides = of_epoch.select(~late), of_epoch.select(late)
+                late = for_epoch.unix_s - state.clock_offset_s >= change.time
+                sides = for_epoch.select(~late), for_epoch.select(late)
                 found += changed_states(found, state, sides, change.cause, camera)
                 split = True
         if not split:
@@ -109,7 +109,7 @@ def with_changes_within(points: Sightings, states: Sequence[State], camera: Arch
     return found
 
 
-def with_lenses_by_evidence(
+def assign_lenses(
     points: Sightings, path: IntArray, states: Sequence[State], fitted: Mapping[int, FittedPose], camera: ArchiveCamera
 ) -> list[State]:
     """Return states, those that one lens explains with the state before given that lens, and others one of their own.
@@ -123,7 +123,7 @@ def with_lenses_by_evidence(
     path, states, camera : as `fit_poses` takes them.
     fitted : what it returns, one lens for all poses that are said to have it.
     """
-    noise, found, epochs = noise_of_days(points, camera.site), list(states), epochs_of(path, states, points)
+    noise, found, epochs = estimate_daily_noise(points, camera.site), list(states), split_epochs(path, states, points)
     for number, (one, other) in enumerate(itertools.pairwise(epochs), 1):
         before, after = (found[each.state] for each in (one, other))
         if before.pose == after.pose:
@@ -134,9 +134,9 @@ def with_lenses_by_evidence(
             for some, each in zip(rows, (before, after), strict=True)
         ]
         calibrations = [fitted[each.pose].calibration for each in (before, after)]
-        cameras = _of_one_lens(calibrations, seen, camera)
+        cameras = _share_lens(calibrations, seen, camera)
         sides = [(some, of_side, noise[of]) for some, of_side, of in zip(seen, cameras, rows, strict=True)]
-        apart = is_of_lens(sides, camera.site)
+        apart = is_lens_change(sides, camera.site)
         if apart is None or apart == (before.lens != after.lens):
             continue
         if not apart:
@@ -151,7 +151,7 @@ def with_lenses_by_evidence(
     return found
 
 
-def _of_one_lens(calibrations: Sequence[Calibration], seen: Sequence[Sightings], camera: ArchiveCamera) -> list[Camera]:
+def _share_lens(calibrations: Sequence[Calibration], seen: Sequence[Sightings], camera: ArchiveCamera) -> list[Camera]:
     """Return the cameras of two sides of a change, that of fewer sightings with the lens of the other in its pose."""
     fewer = int(len(seen[1]) <= len(seen[0]))
     posed = estimate_pose(seen[fewer], start=calibrations[1 - fewer], site=camera.site, options=camera.loosely())
@@ -220,7 +220,7 @@ def _stars_beside(stars: Sightings, order: Sequence[int], camera: ArchiveCamera)
     if len(of_lens) == 0:
         return None
     numbered = _numbered(of_lens, order)
-    return numbered.select(surest_of_epochs(numbered.pixels, numbered.sigma_px, numbered.epoch, camera.size))
+    return numbered.select(pick_surest_in_epochs(numbered.pixels, numbered.sigma_px, numbered.epoch, camera.size))
 
 
 def _merged(suns: Sightings, stars: Sightings) -> Sightings:
@@ -229,7 +229,9 @@ def _merged(suns: Sightings, stars: Sightings) -> Sightings:
     return merged.select(np.argsort(merged.unix_s, kind="stable"))
 
 
-def better_of(fitted: Mapping[int, FittedPose], both: Mapping[int, FittedPose]) -> dict[int, FittedPose]:
+def choose_better_calibrations(
+    fitted: Mapping[int, FittedPose], both: Mapping[int, FittedPose]
+) -> dict[int, FittedPose]:
     """Return the calibrations by suns and stars, that by suns alone of a pose where the other is refused or not there.
 
     Parameters
@@ -251,10 +253,10 @@ def _is_worse(both: FittedPose, one: FittedPose) -> bool:
 def _as_steady(both: FittedPose, one: FittedPose) -> FittedPose:
     """Return a calibration that allows for the drift of the pose that another one does."""
     spread = one.calibration.evidence.pose_spread_deg
-    return both if spread is None else both._replace(calibration=with_pose_spread(both.calibration, spread))
+    return both if spread is None else both._replace(calibration=add_pose_spread(both.calibration, spread))
 
 
-def document_of(
+def make_epoch_document(
     fitted: FittedPose,
     points: Sightings,
     epoch: Epoch,
@@ -268,11 +270,11 @@ def document_of(
 
     Its id is made of the sightings, so that the same archive gives the same one.
     """
-    solved, offset = with_clock(fitted.calibration, clock_error_s), points
+    solved, offset = add_stated_clock(fitted.calibration, clock_error_s), points
     rows = fitted.rows
     stars = fitted.stars
     beside = () if stars is None else (stars.unix_s.tobytes(), stars.pixels.tobytes())
-    identity = key_of((camera, name, offset.unix_s[rows].tobytes(), offset.pixels[rows].tobytes(), *beside))
+    identity = result_key((camera, name, offset.unix_s[rows].tobytes(), offset.pixels[rows].tobytes(), *beside))
     selection = {**solved.evidence.selection, **evidence, **({} if stars is None else {"n_stars": len(stars)})}
     last = utc_time(epoch.end_unix_s)
     return to_document(
@@ -327,7 +329,7 @@ class Final(NamedTuple):
     path: IntArray
     fitted: dict[int, FittedPose]
 
-    def with_calibrations(self) -> Final:
+    def drop_uncalibrated(self) -> Final:
         """Return the outcome without epochs of poses that have neither sun nor star."""
         kept = tuple(one for one in self.epochs if self.states[one.state].pose in self.fitted)
         return self._replace(epochs=kept)
@@ -352,13 +354,13 @@ def first_analysis(given: CameraSightings) -> Rough:
     if found.states and not len(given.points):  # the state that is known holds
         return Rough(found.states, (Epoch(0, "start", 0, -1, -math.inf, math.inf),))
     epochs, path = find_epochs(given.points, found.states, given.camera)
-    states = list(found.states) if given.states else with_true_clock(found.states, path, given.camera.site)
+    states = list(found.states) if given.states else correct_clock(found.states, path, given.camera.site)
     largest = max(range(len(states)), key=lambda number: int((path == number).sum()))
     of_largest = given.points.select(path == largest)
-    return Rough(tuple(states), tuple(epochs), _doubts_of_state(states[largest], of_largest, given.camera))
+    return Rough(tuple(states), tuple(epochs), _check_state(states[largest], of_largest, given.camera))
 
 
-def _doubts_of_state(state: State, points: Sightings, camera: ArchiveCamera) -> tuple[Finding, ...]:
+def _check_state(state: State, points: Sightings, camera: ArchiveCamera) -> tuple[Finding, ...]:
     """Return the findings against site or times that a whole fit of a state's sightings leaves.
 
     A state is a quick fit: it asks neither the horizon about a tilt nor the mount about the hand.
@@ -373,17 +375,17 @@ def _doubts_of_state(state: State, points: Sightings, camera: ArchiveCamera) -> 
 def final_analysis(given: CameraSightings) -> Final:
     """Return the epochs and calibrations of a camera by its second pass."""
     points, camera = given.points, given.camera
-    states = with_changes_within(points, given.states, camera)
+    states = drop_small_changes(points, given.states, camera)
     _, path = find_epochs(points, states, camera)
     fitted = fit_poses(points, path, states, camera)
-    named = with_lenses_by_evidence(points, path, states, fitted, camera)
+    named = assign_lenses(points, path, states, fitted, camera)
     if [one.lens for one in named] != [one.lens for one in states]:
         states, fitted = named, fit_poses(points, path, named, camera)
     # a state that no sighting is left to has no calibration that a later one could be given
     held = [(state, points.select(path == number)) for number, state in enumerate(states) if np.any(path == number)]
     refined = [_refined(state, fitted, of_state, camera) for state, of_state in held]
     epochs, path = find_epochs(points, refined, camera)
-    noise = noise_of_days(points, camera.site)
+    noise = estimate_daily_noise(points, camera.site)
     found = _without_drifts(Final(tuple(refined), tuple(epochs), path, fitted), given, noise)
     found = _held_to_parts(_allowing_for_drift(_held_to_days(found, given, noise), given, noise), given)
     found = _held_to_level(found)
@@ -397,7 +399,7 @@ def _drifts(calibration: Calibration) -> bool:
     return any(one.code in _DRIFTS for one in calibration.verdict.findings)
 
 
-def _drift_of(final: Final, given: CameraSightings, noise: FloatArray, run: Sequence[Epoch]) -> PoseChange | None:
+def _find_drift(final: Final, given: CameraSightings, noise: FloatArray, run: Sequence[Epoch]) -> PoseChange | None:
     """Return the drift that the sightings of consecutive epochs show, about the camera of the longest of them."""
     state = final.states[_longest(run).state]
     rows = slice(run[0].first, run[-1].last + 1)
@@ -414,31 +416,31 @@ def _without_drifts(final: Final, given: CameraSightings, noise: FloatArray) -> 
     for count in range(len(epochs), 0, -1):
         for begin in range(len(epochs) - count + 1):
             run = epochs[begin : begin + count]
-            drift = None if taken & set(range(begin, begin + count)) else _drift_of(final, given, noise, run)
+            drift = None if taken & set(range(begin, begin + count)) else _find_drift(final, given, noise, run)
             finding = None if drift is None else drift_finding(drift)
             if finding is None:
                 continue
             taken |= set(range(begin, begin + count))
             longest = states[_longest(run).state]
             pose = 1 + max(one.pose for one in states)
-            fitted[pose] = _refused(fitted[longest.pose], finding)
+            fitted[pose] = _refuse(fitted[longest.pose], finding)
             path[run[0].first : run[-1].last + 1] = len(states)
             states.append(longest._replace(pose=pose))
-    return _of_path(final, Final(tuple(states), (), path, fitted), given.points)
+    return _finish_epochs(final, Final(tuple(states), (), path, fitted), given.points)
 
 
 def _longest(run: Sequence[Epoch]) -> Epoch:
     return max(run, key=lambda one: one.last - one.first)
 
 
-def _refused(fitted: FittedPose, *findings: Finding) -> FittedPose:
+def _refuse(fitted: FittedPose, *findings: Finding) -> FittedPose:
     return fitted._replace(calibration=refused_for(fitted.calibration, *findings))
 
 
-def _of_path(former: Final, final: Final, points: Sightings) -> Final:
+def _finish_epochs(former: Final, final: Final, points: Sightings) -> Final:
     """Return epochs by the states of sightings, with the causes of former ones."""
     causes = {one.first: one.cause for one in former.epochs}
-    epochs = epochs_of(final.path, final.states, points)
+    epochs = split_epochs(final.path, final.states, points)
     return final._replace(epochs=tuple(one._replace(cause=causes.get(one.first, "unexplained")) for one in epochs))
 
 
@@ -448,15 +450,15 @@ def _allowing_for_drift(final: Final, given: CameraSightings, noise: FloatArray)
     spread = {pose: np.zeros(3) for pose, one in fitted.items() if one.calibration.verdict.accepted}
     for epoch in final.epochs:
         pose = final.states[epoch.state].pose
-        drift = _drift_of(final, given, noise, [epoch]) if pose in spread else None
+        drift = _find_drift(final, given, noise, [epoch]) if pose in spread else None
         if drift is None:
             continue
         spread[pose] = np.maximum(spread[pose], spread_deg(drift))
         finding = drift_finding(drift)
         if finding is not None:
-            fitted[pose] = _refused(fitted[pose], finding)
+            fitted[pose] = _refuse(fitted[pose], finding)
     for pose, largest in spread.items():
-        fitted[pose] = fitted[pose]._replace(calibration=with_pose_spread(fitted[pose].calibration, largest.tolist()))
+        fitted[pose] = fitted[pose]._replace(calibration=add_pose_spread(fitted[pose].calibration, largest.tolist()))
     return final._replace(fitted=fitted)
 
 
@@ -479,7 +481,7 @@ def _held_to_parts(final: Final, given: CameraSightings) -> Final:
         hand: Mirrored = "yes" if whole.camera.mirrored else "no"
         options = replace(camera.options, mirrored=hand, projection=whole.camera.projection)
         apart = [0.0]
-        for part in _parts_of(replace(of_pose, epoch=np.zeros(len(of_pose), dtype=np.int64))):
+        for part in _split_parts(replace(of_pose, epoch=np.zeros(len(of_pose), dtype=np.int64))):
             alone = calibrate(
                 part, site=camera.site, image_size=camera.size, options=options, circle=camera.circle, parts=False
             )
@@ -488,7 +490,7 @@ def _held_to_parts(final: Final, given: CameraSightings) -> Final:
     return final._replace(fitted=fitted)
 
 
-def _parts_of(points: Sightings) -> Iterator[Sightings]:
+def _split_parts(points: Sightings) -> Iterator[Sightings]:
     """Yield the halves and thirds of sightings in the order of time, and those by turns, where they are enough."""
     rows = np.arange(len(points))
     for parts in (even_parts(rows, most=2), even_parts(rows, most=3), rows % 2):
@@ -501,8 +503,8 @@ def _held_to(fitted: FittedPose, sigmas: float) -> FittedPose:
     """Return a calibration from which that of some part lies so many stated sigmas."""
     for check, finding in fired(PARTS, sigmas):
         if check.effect == "refuse":
-            return _refused(fitted, finding)
-        return fitted._replace(calibration=with_larger_errors(fitted.calibration, sigmas))
+            return _refuse(fitted, finding)
+        return fitted._replace(calibration=scale_errors(fitted.calibration, sigmas))
     return fitted
 
 
@@ -517,9 +519,9 @@ def _held_to_level(final: Final) -> Final:
     fitted = dict(final.fitted)
     for pose, one in accepted.items():
         if all(asked.values()):
-            fitted[pose] = _refused(one, *asked[pose])
+            fitted[pose] = _refuse(one, *asked[pose])
         else:
-            said = reduce(with_finding, findings(SITE_ASSUMED, judged[pose]), one.calibration)
+            said = reduce(add_finding, findings(SITE_ASSUMED, judged[pose]), one.calibration)
             fitted[pose] = one._replace(calibration=said)
     return final._replace(fitted=fitted)
 
@@ -560,7 +562,7 @@ def _held_to_days(final: Final, given: CameraSightings, noise: FloatArray) -> Fi
             path[epoch.first + run[0] : epoch.first + run[-1] + 1] = len(states)
             fitted[pose] = FittedPose(alone, epoch.first + run)
             states.append(state._replace(calibration=alone, pose=pose, lens=lens))
-    return _of_path(final, Final(tuple(states), (), path, fitted), points)
+    return _finish_epochs(final, Final(tuple(states), (), path, fitted), points)
 
 
 class Starry(NamedTuple):
@@ -577,7 +579,7 @@ def starry_analysis(of: Starry) -> Final:
     if not len(given.points):
         return final._replace(fitted=_fit_stars(of.stars, final.states, given.camera))
     both = fit_poses(given.points, final.path, final.states, given.camera, stars=of.stars)
-    return final._replace(fitted=better_of(final.fitted, both))
+    return final._replace(fitted=choose_better_calibrations(final.fitted, both))
 
 
 def _fit_stars(stars: Sightings, states: Sequence[State], camera: ArchiveCamera) -> dict[int, FittedPose]:
@@ -588,7 +590,7 @@ def _fit_stars(stars: Sightings, states: Sequence[State], camera: ArchiveCamera)
         if len(of_pose) == 0 or state.pose in fitted:
             continue
         of_pose = replace(of_pose, epoch=np.zeros(len(of_pose), dtype=np.int64))
-        used = of_pose.select(surest_of_epochs(of_pose.pixels, of_pose.sigma_px, of_pose.epoch, camera.size))
+        used = of_pose.select(pick_surest_in_epochs(of_pose.pixels, of_pose.sigma_px, of_pose.epoch, camera.size))
         start = state.calibration.camera
         hand: Mirrored = "yes" if start.mirrored else "no"
         options = replace(camera.options, mirrored=hand)
@@ -612,7 +614,7 @@ def _refined(state: State, fitted: dict[int, FittedPose], points: Sightings, cam
     found = fitted.get(state.pose)
     if found is None or found.calibration.evidence.n_used == 0 or len(points) == 0:
         return state
-    distance = camera.distances_of(found.calibration, points, state.clock_offset_s)
+    distance = camera.calibration_distances(found.calibration, points, state.clock_offset_s)
     scatter = robust_sigma(distance, floor=_SIGMA_FLOOR_PX)
     # a fit that failed says nothing of when the state held
     if not found.calibration.verdict.accepted and scatter > _FAILED * state.sigma_px:

@@ -15,7 +15,16 @@ import numpy as np
 from sunarc.archives.fit import CameraSightings, Rough, first_analysis, fit_poses
 from sunarc.archives.ingest_summary import IngestSummary, write_contact_sheet
 from sunarc.archives.ledger import ANY, ImageId, KeptMask, Known
-from sunarc.archives.passes import Found, FoundSun, Looked, Passes, epoch_at, id_of, predictions, scatter_beyond_px
+from sunarc.archives.passes import (
+    Found,
+    FoundSun,
+    Looked,
+    Passes,
+    epoch_at,
+    make_image_id,
+    predictions,
+    scatter_beyond_px,
+)
 from sunarc.archives.pool import ProcessRunner
 from sunarc.archives.states import ArchiveCamera, Epoch, State, disagreeing_days, known_state
 from sunarc.calibration.model.options import ImageCircle
@@ -27,11 +36,11 @@ from sunarc.detection.values import Detection, Expectation, Verdict
 from sunarc.detection.values import Method as DetectionMethod
 from sunarc.imager.archive.archive import Archive, open_archive
 from sunarc.imager.archive.database.recovery import upgrade_present
-from sunarc.imager.archive.sightings import FileSighting, sun_point_of
+from sunarc.imager.archive.sightings import FileSighting, make_sun_point
 from sunarc.imager.archive.values import SunPoint
 from sunarc.imager.live.camera_record import known_camera, register_camera
 from sunarc.imager.live.folder_nights import ingest_nights
-from sunarc.imager.live.learned_sigma import ValidCamera, factor_in_force, learn_sigma, with_factor
+from sunarc.imager.live.learned_sigma import ValidCamera, factor_in_force, learn_sigma, scale_detection_sigma
 from sunarc.imager.runtime.clock import SystemClock
 from sunarc.imager.settings.model import Settings
 from sunarc.sky.days import solar_days
@@ -257,7 +266,7 @@ def _mirrored(states: Sequence[State], settings: Settings) -> tuple[Finding, ...
     return (Finding("mirrored_setting_differs", {"mirrored": "yes" if mirrored else "no"}),)
 
 
-def _sun_of(stored: FileSighting) -> FoundSun:
+def _as_found_sun(stored: FileSighting) -> FoundSun:
     verdict = cast("Verdict", stored.verdict)
     if not stored.accepted:
         return FoundSun(accepted=False, verdict=verdict)
@@ -289,7 +298,7 @@ class FolderLedger:
         self.failures: list[Failure] = []
         self.set_aside: dict[str, Finding] = {}
         self._options = options
-        self._images = {id_of(image): image for image in camera.images}
+        self._images = {make_image_id(image): image for image in camera.images}
         self._expected: dict[ImageId, Expectation | None] = {}
         self._waiting: list[SunPoint] = []
 
@@ -311,7 +320,7 @@ class FolderLedger:
                     verdict=cast("Verdict", one.verdict), findings=(),
                     x_px=one.x_px, y_px=one.y_px, sigma_px=one.sigma_px,
                 )  # fmt: skip
-                yield id_of(image), Known(ANY, detection)
+                yield make_image_id(image), Known(ANY, detection)
 
     def store(self, camera: str, pass_number: int, answers: Iterable[tuple[ImageId, Known]], *, version: str) -> None:
         """Store the sightings of some images."""
@@ -321,7 +330,9 @@ class FolderLedger:
             if pass_number == SEARCHED:
                 self.looked_at.append(image)
             if isinstance(found, Detection):
-                found = as_predicted(with_factor(found, self._factors[found.method]), self._expected.get(identity))
+                found = as_predicted(
+                    scale_detection_sigma(found, self._factors[found.method]), self._expected.get(identity)
+                )
                 self._waiting.append(self._point(image, found, pass_number))
             elif isinstance(found, Finding) and pass_number == SEARCHED:
                 self.failures.append(Failure(image.path, found))
@@ -343,7 +354,7 @@ class FolderLedger:
         """Return the sighting that counts of each image: the accepted one, else the one stored last."""
         self._write()
         by_key: dict[ImageKey, FileSighting] = {}
-        for one in self._stored():
+        for one in self._read_stored():
             former = by_key.get(one.key)
             if former is None or one.accepted or not former.accepted:
                 by_key[one.key] = one
@@ -354,7 +365,7 @@ class FolderLedger:
         found = self.found()
         days = solar_days(np.array([one.unix_s for one in found]), longitude=self.settings.place.longitude).tolist()
         kept = {image: one for (image, one), day in zip(found.items(), days, strict=True) if day not in without_days}
-        suns = (_sun_of(one) for one in kept.values())
+        suns = (_as_found_sun(one) for one in kept.values())
         return Looked(tuple(kept), tuple(suns))
 
     def unpredicted(self) -> bool:
@@ -363,7 +374,7 @@ class FolderLedger:
 
     def expect(self, images: Sequence[ArchiveImage], expected: Sequence[Expectation | None]) -> None:
         """Have the sightings of images judged by predictions."""
-        self._expected = {id_of(image): one for image, one in zip(images, expected, strict=True)}
+        self._expected = {make_image_id(image): one for image, one in zip(images, expected, strict=True)}
 
     def mark_predicted(self, images: Sequence[ArchiveImage]) -> None:
         """Mark the sightings of images that are where the sun should be as predicted."""
@@ -376,15 +387,15 @@ class FolderLedger:
         """Return the factor of each method's stated sigma."""
         return {one: factor_in_force(self.archive, self.settings.name, one) for one in get_args(DetectionMethod)}
 
-    def _stored(self) -> list[FileSighting]:
+    def _read_stored(self) -> list[FileSighting]:
         times_us = {image.time_us for image in self.camera.images}
-        return self.archive.sightings.of_files(self.settings.name, times_us=times_us)
+        return self.archive.sightings.file_sightings(self.settings.name, times_us=times_us)
 
     def _known(self) -> set[ImageKey]:
         """Return the keys of the images that have a sighting by the method asked for, or by any where that is open."""
         if self._options.reprocess:
             return set()
-        return {one.key for one in self._stored() if self._options.method in {"auto", one.method}}
+        return {one.key for one in self._read_stored() if self._options.method in {"auto", one.method}}
 
     def _adopt(self) -> None:
         """Give sightings whose file is not here the name and folder of an image of their time and exposure.
@@ -392,7 +403,7 @@ class FolderLedger:
         It has the same name, or is the first one where that is not known (version 0.2): a folder that is ingested by
         another of its parents, or was moved, has the images that were read.
         """
-        stored, here = {one.key: None for one in self._stored()}, {image.key for image in self.camera.images}
+        stored, here = {one.key: None for one in self._read_stored()}, {image.key for image in self.camera.images}
         free: dict[ImageKey, list[ImageKey]] = {}
         for image in self.camera.images:
             for former in (image.named, image.named._replace(file="")) if image.key not in stored else ():
@@ -418,7 +429,7 @@ class FolderLedger:
             self.set_aside |= self.archive.sightings.replace(points, first_epoch="first image")
 
     def _point(self, image: ArchiveImage, found: Detection, pass_number: int) -> SunPoint:
-        return sun_point_of(
+        return make_sun_point(
             found,
             camera=self.settings.name,
             pose_epoch="",

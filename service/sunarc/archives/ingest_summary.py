@@ -17,7 +17,7 @@ from sunarc.common.findings import Finding
 from sunarc.imager.archive.sightings import FileSighting
 from sunarc.imager.live.folder_nights import NightOutcome
 from sunarc.imaging.preview import preview
-from sunarc.sources.image_files import image_of
+from sunarc.sources.image_files import read_one_image
 from sunarc.sources.index import ArchiveImage, Failure
 from sunarc.sources.sources import open_source
 
@@ -121,7 +121,7 @@ def _row(verdict: str, images: Sequence[ArchiveImage], found: Mapping[ArchiveIma
 def _example(shown: ArchiveImage, sighting: FileSighting) -> _Picture:
     """Return one example, (tile, 2 tiles, 3); an image that is gone meanwhile leaves it dark."""
     tile = np.zeros((TILE_PX, 2 * TILE_PX, 3), dtype=np.uint8)
-    image = image_of(open_source(shown.address), shown.file, shown.number)
+    image = read_one_image(open_source(shown.address), shown.file, shown.number)
     if isinstance(image, Finding):
         return tile
     small, shrink = _fitted(_colours(image))

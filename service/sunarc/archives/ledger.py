@@ -176,7 +176,7 @@ class Ledger:
                 **known._asdict(),
                 "camera": camera,
                 "stage": pass_number,
-                "found": json.dumps(_written(known.found)),
+                "found": json.dumps(_to_json(known.found)),
             }
             for image, known in answers
         ]
@@ -252,13 +252,13 @@ class Ledger:
                 self.keep_result(f"{function} {names[number]}", keys[number], made)
         return cast("list[Made | None]", found)
 
-    def chunks(self) -> int:
+    def count_finished_chunks(self) -> int:
         """Return how many chunks were ever finished."""
         with self._connected() as connection:
             return int(connection.scalar(sa.select(sa.func.count()).select_from(_CHUNK)) or 0)
 
 
-def _written(found: Detection | NamedStars | Finding) -> dict[str, Any]:
+def _to_json(found: Detection | NamedStars | Finding) -> dict[str, Any]:
     if isinstance(found, Finding):
         return {"refused": found.as_json()}
     if isinstance(found, NamedStars):

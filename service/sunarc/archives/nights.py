@@ -16,11 +16,11 @@ from sunarc.common.array_types import BoolArray, Image
 from sunarc.common.findings import Finding, joined
 from sunarc.detection.stars.detect import detect_stars
 from sunarc.detection.stars.warm_pixels import WarmPixelMap
-from sunarc.imager.live.file_frames import frame_of
+from sunarc.imager.live.file_frames import make_file_frame
 from sunarc.sky.night import body_directions
 from sunarc.sources.image_files import images_in
 from sunarc.sources.index import ArchiveImage, CameraImages, by_night, evenly
-from sunarc.sources.look import Answer, Chunk, Item, NamedStars, PackedMask, StarNaming, key_of
+from sunarc.sources.look import Answer, Chunk, Item, NamedStars, PackedMask, StarNaming, result_key
 from sunarc.sources.sources import open_source
 from sunarc.stars.views import MatchedView, StarView, match_views, star_view, surest_named
 
@@ -41,7 +41,7 @@ class CameraNight(NamedTuple):
         """Hash of all values that the names rest on: of a night all images are read again, or no image."""
         calibration, camera = self.naming.calibration, self.naming.calibration.camera
         model = (camera, calibration.covariance.tobytes(), self.naming.site, self.naming.clock_offset_s)
-        return key_of((model, self.images, self.naming.hidden))
+        return result_key((model, self.images, self.naming.hidden))
 
 
 class CameraNights(NamedTuple):
@@ -100,7 +100,7 @@ class NightsLooked(NamedTuple):
                 yield ImageWithStars(night, image, one)
 
 
-def nights_of(
+def collect_nights(
     camera: CameraImages, states: Sequence[State], epochs: Sequence[Epoch], hidden: Sequence[PackedMask | None] = ()
 ) -> CameraNights:
     """Return the nights of a camera, each with the calibration of its epoch, and 60 of its images at most.
@@ -169,7 +169,7 @@ def name_stars(chunk: Chunk) -> list[Answer]:
 def _view(image: Image, item: Item, naming: StarNaming, warm: WarmPixelMap) -> StarView:
     """Return the detections of an image, and the stars that are predicted at the time that its clock truly meant."""
     unix_s = item.unix_s - naming.clock_offset_s
-    frame = frame_of(image, unix_s, item.exposure_us, item.number)
+    frame = make_file_frame(image, unix_s, item.exposure_us, item.number)
     mask = None if naming.hidden is None else _hidden_pixels(naming.hidden, image)
     stars = detect_stars(warm.repair(frame, None), full_scale=frame.full_scale, mask=mask)
     return star_view(stars, unix_s, site=naming.site, calibration=naming.calibration)

@@ -19,8 +19,8 @@ from sunarc.common.findings import Finding
 from sunarc.common.utc import DAY_S
 from sunarc.imaging.horizon import HorizonProfile
 from sunarc.imaging.obstructions import FREE, HIDDEN, UNKNOWN, CellGrid
-from sunarc.public.mask_files import horizon_csv, mask_of_images, mask_png
-from sunarc.sources.image_files import image_of
+from sunarc.public.mask_files import horizon_csv, learn_mask, mask_png
+from sunarc.sources.image_files import read_one_image
 from sunarc.sources.look import PackedMask, pack_mask
 from sunarc.sources.sources import open_source
 
@@ -68,7 +68,7 @@ class EpochObstructions(NamedTuple):
         return None if mask is None else pack_mask(np.asarray(mask) == HIDDEN)
 
 
-def images_of_epochs(looked: Looked, final: Final, size: tuple[int, int]) -> list[EpochImages]:
+def select_epoch_images(looked: Looked, final: Final, size: tuple[int, int]) -> list[EpochImages]:
     """Return the images that show the obstructions of each epoch: of the days with most suns, ten minutes apart.
 
     Parameters
@@ -85,13 +85,13 @@ def images_of_epochs(looked: Looked, final: Final, size: tuple[int, int]) -> lis
         rows = np.flatnonzero((times >= epoch.start_unix_s) & (times <= epoch.end_unix_s))
         picked = tuple(
             EpochImage(one.address, one.file, one.number, one.unix_s - state.clock_offset_s)
-            for one in map(looked.images.__getitem__, _of_clearest_days(rows, times, suns))
+            for one in map(looked.images.__getitem__, _select_clearest_days(rows, times, suns))
         )
         every.append(EpochImages(final.fitted[state.pose].calibration, size, picked))
     return every
 
 
-def _of_clearest_days(rows: IntArray, times: FloatArray, suns: BoolArray) -> list[int]:
+def _select_clearest_days(rows: IntArray, times: FloatArray, suns: BoolArray) -> list[int]:
     """Return the numbers of images of the days with most suns, in the order of time, not more than are read."""
     ordered = rows[np.argsort(times[rows], kind="stable")]
     slots, first = np.unique(np.floor(times[ordered] / _APART_S), return_index=True)
@@ -111,7 +111,7 @@ def epoch_obstructions(given: EpochImages) -> EpochObstructions:
     """Return the obstructions that the images of an epoch show."""
     cv2.setNumThreads(1)
     try:
-        found = mask_of_images(_read(given), given.calibration)
+        found = learn_mask(_read(given), given.calibration)
     except InputError as error:
         return EpochObstructions({}, 0, 0, error.problem, _png(np.full(given.size[::-1], UNKNOWN, dtype=np.uint8)))
     profile = found.horizon
@@ -127,7 +127,7 @@ def epoch_obstructions(given: EpochImages) -> EpochObstructions:
 
 def _read(given: EpochImages) -> Iterator[tuple[float, Image | None]]:
     for one in given.images:
-        image = image_of(open_source(one.address), one.file, one.number, size=given.size)
+        image = read_one_image(open_source(one.address), one.file, one.number, size=given.size)
         yield one.unix_s, None if isinstance(image, Finding) else image
 
 

@@ -34,10 +34,10 @@ from sunarc.sources.look import (
     Item,
     NamedStars,
     PackedMask,
-    key_of,
+    find_static_mask,
     look_at,
+    result_key,
     software,
-    static_mask_of,
 )
 
 CHUNK = 64
@@ -141,7 +141,7 @@ class Passes(NamedTuple):
         kept = [self.ledger.mask(camera.plan.name, version=software()) for camera in cameras]
         new = [camera for camera, mask in zip(cameras, kept, strict=True) if mask is None]
         moving = [camera for camera in new if _motion_deg(camera) >= _LEAST_MOTION_DEG]
-        masks = self.cluster.each(static_mask_of, list(map(_spread, moving)))
+        masks = self.cluster.each(find_static_mask, list(map(_spread, moving)))
         found = dict(zip((one.plan.name for one in moving), masks, strict=True))
         for camera in new:
             self.ledger.keep_mask(camera.plan.name, found.get(camera.plan.name), version=software())
@@ -206,9 +206,11 @@ class Passes(NamedTuple):
             if one.chunks is not None:
                 chunks += one.chunks({n for n, _ in camera.waiting})
             elif one.camera.plan.stacks:
-                chunks += _stacks_of(one, dict(camera.waiting))
+                chunks += _make_stacks(one, dict(camera.waiting))
             else:
-                chunks += chunks_of(one.camera, [(one.camera.images[n], item) for n, item in camera.waiting], one.mask)
+                chunks += make_chunks(
+                    one.camera, [(one.camera.images[n], item) for n, item in camera.waiting], one.mask
+                )
         done = total - sum(len(chunk.items) for chunk in chunks)
         self.progress(title, done, total)
 
@@ -236,8 +238,8 @@ class _Question:
     def __init__(self, work: Work, ledger: AnswerStore, pass_number: int) -> None:
         self.found: list[Found | None] = [None] * len(work.camera.images)
         self._camera, self._keys = work.camera, work.keys
-        self._of_mask = None if work.mask is None else key_of((work.mask.shape, work.mask.compressed))
-        self._row = {id_of(work.camera.images[n]): n for n, _ in work.items}
+        self._of_mask = None if work.mask is None else result_key((work.mask.shape, work.mask.compressed))
+        self._row = {make_image_id(work.camera.images[n]): n for n, _ in work.items}
         self._touched: dict[int, Known] = {}
         items = dict(work.items)
         for image, known in ledger.answers(work.camera.plan.name, pass_number=pass_number):
@@ -248,9 +250,9 @@ class _Question:
                 self.found[row] = kept(known.found)
             elif known.content is not None:
                 self._touched[row] = known
-        self.waiting = [(n, self._with_content(n, item)) for n, item in work.items if self.found[n] is None]
+        self.waiting = [(n, self._attach_content(n, item)) for n, item in work.items if self.found[n] is None]
 
-    def _with_content(self, row: int, item: Item) -> Item:
+    def _attach_content(self, row: int, item: Item) -> Item:
         return item._replace(content=self._touched[row].content) if row in self._touched else item
 
     def answered(self, chunk: Chunk, answers: Sequence[Answer]) -> list[tuple[ImageId, Known]]:
@@ -268,14 +270,14 @@ class _Question:
         return rows
 
     def _stamp(self, row: int) -> str:
-        return key_of((self._camera.images[row].stamp,))
+        return result_key((self._camera.images[row].stamp,))
 
     def _key(self, row: int, item: Item) -> str:
         """Return the hash of all values that an answer rests on apart from the file."""
         if self._keys is not None:
-            return key_of((software(), self._keys[row]))
+            return result_key((software(), self._keys[row]))
         plan, size = self._camera.plan, self._camera.size
-        return key_of((software(), plan.method, size, item._replace(content=None), self._of_mask))
+        return result_key((software(), plan.method, size, item._replace(content=None), self._of_mask))
 
 
 def kept(found: Detection | NamedStars | Finding) -> Found:
@@ -283,12 +285,12 @@ def kept(found: Detection | NamedStars | Finding) -> Found:
     if isinstance(found, Finding | NamedStars):
         return found
     if not found.accepted:
-        return _rejected(found.verdict)
+        return _reject(found.verdict)
     return FoundSun(accepted=True, verdict=found.verdict, x_px=found.x_px, y_px=found.y_px, sigma_px=found.sigma_px)
 
 
 @cache  # one value for all of them: most images of a cloudy year are alike
-def _rejected(verdict: Verdict) -> FoundSun:
+def _reject(verdict: Verdict) -> FoundSun:
     return FoundSun(accepted=False, verdict=verdict)
 
 
@@ -340,9 +342,11 @@ def by_true_times(camera: CameraImages, states: Sequence[State], epochs: Sequenc
         sun_angles(np.array([one.unix_s for one in others]) - ahead_s, camera.plan.site).apparent_zenith
     )
     is_light = (zenith <= camera.plan.largest_zenith_deg) & (ahead_s != 0.0)
-    light = {id_of(others[row]) for row in np.flatnonzero(is_light)}
-    by_day = sorted((*camera.images, *(one for one in others if id_of(one) in light)))
-    dusk, nights = (tuple(one for one in some if id_of(one) not in light) for some in (camera.dusk, camera.nights))
+    light = {make_image_id(others[row]) for row in np.flatnonzero(is_light)}
+    by_day = sorted((*camera.images, *(one for one in others if make_image_id(one) in light)))
+    dusk, nights = (
+        tuple(one for one in some if make_image_id(one) not in light) for some in (camera.dusk, camera.nights)
+    )
     return replace(camera, images=tuple(by_day), dusk=dusk, nights=nights)
 
 
@@ -360,7 +364,7 @@ def without_frozen(looked: Looked, site: Site) -> Looked:
             continue
         same = [at for at, x, y in seen if max(abs(x - one.x_px), abs(y - one.y_px)) < _SAME_PX]
         if any(_moved_deg(at, image.unix_s, site) > _MOVED_DEG for at in same):
-            found[row] = _rejected(FROZEN)
+            found[row] = _reject(FROZEN)
         else:
             seen.append((image.unix_s, one.x_px, one.y_px))
     return Looked(looked.images, tuple(found))
@@ -380,11 +384,11 @@ def without_lifted(searched: Looked, looked: Looked, refused: Sequence[bool]) ->
     refused : of each image, whether the calibration of its epoch is refused: its prediction proves nothing.
     """
     pairs = zip(searched.found, looked.found, refused, strict=True)
-    found = (first if is_refused and _lifted(first, second) else second for first, second, is_refused in pairs)
+    found = (first if is_refused and _was_lifted(first, second) else second for first, second, is_refused in pairs)
     return Looked(looked.images, tuple(found))
 
 
-def _lifted(first: Found, second: Found) -> bool:
+def _was_lifted(first: Found, second: Found) -> bool:
     if not isinstance(first, FoundSun) or not isinstance(second, FoundSun):
         return False
     return second.accepted and not first.accepted
@@ -394,12 +398,14 @@ def _place(found: FoundSun) -> tuple[float, float] | None:
     return None if found.x_px is None or found.y_px is None else (found.x_px, found.y_px)
 
 
-def id_of(image: ArchiveImage) -> ImageId:
+def make_image_id(image: ArchiveImage) -> ImageId:
     """Return which image it is in the ledger."""
     return ImageId(image.address, image.file, image.number)
 
 
-def chunks_of(camera: CameraImages, items: Iterable[tuple[ArchiveImage, Item]], mask: PackedMask | None) -> list[Chunk]:
+def make_chunks(
+    camera: CameraImages, items: Iterable[tuple[ArchiveImage, Item]], mask: PackedMask | None
+) -> list[Chunk]:
     """Return images as units of work: of one source and day each, in the order of their files."""
     ordered = sorted(items, key=lambda one: (*_source_and_day(one[0]), one[0].file, one[0].number))
     chunks = []
@@ -411,7 +417,7 @@ def chunks_of(camera: CameraImages, items: Iterable[tuple[ArchiveImage, Item]], 
     return chunks
 
 
-def _stacks_of(work: Work, waiting: Mapping[int, Item]) -> list[Chunk]:
+def _make_stacks(work: Work, waiting: Mapping[int, Item]) -> list[Chunk]:
     """Return a unit of work for each time at which an image waits, with all images of that time.
 
     Images that are alone at their time are together, unless they are to be read one by one.
@@ -440,7 +446,7 @@ def _stacks_of(work: Work, waiting: Mapping[int, Item]) -> list[Chunk]:
         for part in stacks
         if len(part) > 1 or plan.one_by_one
     ]
-    return chunks_of(work.camera, [(work.camera.images[n], waiting[n]) for n, _ in alone], work.mask) + together
+    return make_chunks(work.camera, [(work.camera.images[n], waiting[n]) for n, _ in alone], work.mask) + together
 
 
 def _source_and_day(image: ArchiveImage) -> tuple[str, int]:

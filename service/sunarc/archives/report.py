@@ -21,7 +21,7 @@ from sunarc.common.array_types import FloatArray
 from sunarc.common.errors import disk_errors
 from sunarc.common.findings import Finding
 from sunarc.common.json_text import json_text
-from sunarc.common.robust_statistics import median_of
+from sunarc.common.robust_statistics import fast_median
 from sunarc.common.utc import DAY_S, utc_time
 from sunarc.optics.forward import project
 from sunarc.optics.mounting import pose_text
@@ -261,7 +261,7 @@ def _eight_bits(image: Any) -> Any:  # noqa: ANN401 - arrays
     """Return a picture in 8 bit colours, its median at a third of the scale where it is deeper."""
     light = image.astype(np.float64)
     if image.dtype != np.uint8:
-        light *= 85.0 / max(median_of(light.ravel()), 1.0)
+        light *= 85.0 / max(fast_median(light.ravel()), 1.0)
     grey = np.clip(light, 0.0, 255.0).astype(np.uint8)
     return np.ascontiguousarray(grey if grey.ndim == 3 else cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR))
 

@@ -14,26 +14,26 @@ from typing import Any
 
 import numpy as np
 
-from sunarc.archives.fit import Final, Rough, document_of
+from sunarc.archives.fit import Final, Rough, make_epoch_document
 from sunarc.archives.ledger import Ledger, ParallelMap, content_key
 from sunarc.archives.nights import NightsLooked
 from sunarc.archives.obstructions import EpochObstructions
-from sunarc.archives.passes import FROZEN, FoundSun, Looked, id_of, kept
+from sunarc.archives.passes import FROZEN, FoundSun, Looked, kept, make_image_id
 from sunarc.archives.states import Epoch
 from sunarc.common.array_types import FloatArray
 from sunarc.common.errors import InputError, disk_errors
 from sunarc.common.extras import extra_module, is_installed
-from sunarc.common.findings import Finding, headline_of
+from sunarc.common.findings import Finding, choose_headline
 from sunarc.common.foreign_files import is_regular, read_regular
 from sunarc.common.json_text import json_text
 from sunarc.common.utc import rfc3339, utc_time
-from sunarc.imager.live.learned_sigma import sigma_of_series
+from sunarc.imager.live.learned_sigma import series_sigma
 from sunarc.optics.forward import project
 from sunarc.sky.sun import sun_directions
 from sunarc.sources.expected_sun import PREDICTED, SEARCHED
 from sunarc.sources.index import CameraImages, Failure, Indexed
 from sunarc.sources.look import NamedStars, software
-from sunarc.sources.sources import hash_of
+from sunarc.sources.sources import content_hash
 
 _HEADER = ("camera", "time_utc", "file", "x_px", "y_px", "sigma_px", "body", "verdict", "epoch")
 Document = dict[str, Any]
@@ -128,7 +128,7 @@ def write_results(
         "cameras": [_camera(one, documents) for one in results],
         "refused": [_refusal(one) for one in indexed.refused],
         "failures": dict(Counter(row[1] for row in _failures(results, indexed)).most_common()),
-        "headline": headline_of(
+        "headline": choose_headline(
             [one.finding for one in _left_out(results, indexed)],
             used=sum(len(one.looked.points()[1]) for one in results),
         ),
@@ -169,7 +169,7 @@ def _write_detections(folder: Path, results: Sequence[CameraResult], ledger: Led
     for name, one in made.items():
         path, kept_as = folder / name / "detections.parquet", f"detections {folder.absolute()} {name}"
         times = np.array([image.time_us for image in one.looked.images], dtype=np.int64)
-        key = content_key((software(), times, ledger.chunks()))
+        key = content_key((software(), times, ledger.count_finished_chunks()))
         if not path.is_file() or ledger.result(kept_as, key) is None:
             _write(path, _parquet(_detections(one, ledger)))
             ledger.keep_result(kept_as, key, True)
@@ -178,7 +178,7 @@ def _write_detections(folder: Path, results: Sequence[CameraResult], ledger: Led
 def _detections(result: CameraResult, ledger: Ledger) -> dict[str, Sequence[object]]:
     """Return the detections in each image by columns: the answer that counts, with a rejected position, too."""
     images = result.looked.images
-    row_of = {id_of(image): row for row, image in enumerate(images)}
+    record_columns = {make_image_id(image): row for row, image in enumerate(images)}
     columns: dict[str, list[object]] = {name: [None] * len(images) for name in ("verdict", "code", *_NUMBERS_FOUND)}
     accepted, predicted, open_rows = [False] * len(images), [False] * len(images), set(range(len(images)))
     for row, found in enumerate(result.looked.found):
@@ -187,7 +187,7 @@ def _detections(result: CameraResult, ledger: Ledger) -> dict[str, Sequence[obje
             open_rows.remove(row)
     for number in (PREDICTED, SEARCHED):
         for image, known in ledger.answers(result.part, pass_number=number):
-            row = row_of.get(image, -1)
+            row = record_columns.get(image, -1)
             if (
                 row not in open_rows
                 or isinstance(known.found, NamedStars)
@@ -235,7 +235,7 @@ def _document(result: CameraResult, number: int) -> Document:
     state = result.final.states[epoch.state]
     shown = result.obstructions[number]
     evidence = {} if shown.missing else {"horizon_seen": shown.seen, "horizon_hidden": shown.hidden}
-    return document_of(
+    return make_epoch_document(
         result.final.fitted[state.pose],
         result.looked.points()[0],
         epoch,
@@ -294,7 +294,7 @@ def _sigmas(result: CameraResult, offsets: Sequence[float]) -> FloatArray:
             held = result.final.path == number
             residual[held] = points.pixels[held] - project(calibration.camera, directions[held])
     sky = [one.verdict for one in map(result.looked.found.__getitem__, rows) if isinstance(one, FoundSun)]
-    return sigma_of_series(residual, points.sigma_px, sky)
+    return series_sigma(residual, points.sigma_px, sky)
 
 
 def _failures(results: Sequence[CameraResult], indexed: Indexed) -> list[tuple[str, str, str]]:
@@ -414,13 +414,13 @@ def _write_exports(
     keys = {name: content_key((software(), json.dumps(one))) for name, one in usable.items()}
     kept = {name: ledger.result(f"exports {folder.absolute()} {name}", key) for name, key in keys.items()}
     new = [name for name, one in kept.items() if one is None or not _is_there(folder / name, one["files"])]
-    made = each(exports_of, [usable[name] for name in new]) if each is not None else []
+    made = each(export_all_formats, [usable[name] for name in new]) if each is not None else []
     for name, one in zip(new, made, strict=True):
         files, refused = one or ({}, {"all": "the workers that made them died"})
         shutil.rmtree(folder / name, ignore_errors=True)
         for file, content in files.items():
             _write(folder / name / file, content)
-        kept[name] = {"files": {file: hash_of(content) for file, content in files.items()}, "refused": refused}
+        kept[name] = {"files": {file: content_hash(content) for file, content in files.items()}, "refused": refused}
         if one is not None:
             ledger.keep_result(f"exports {folder.absolute()} {name}", keys[name], kept[name])
     return {name: kept[name]["refused"] for name in usable if kept[name]["refused"]}
@@ -428,10 +428,12 @@ def _write_exports(
 
 def _is_there(folder: Path, files: Mapping[str, str]) -> bool:
     """Return whether a folder's files have the content that they were written with."""
-    return all(is_regular(path := folder / name) and hash_of(read_regular(path)) == one for name, one in files.items())
+    return all(
+        is_regular(path := folder / name) and content_hash(read_regular(path)) == one for name, one in files.items()
+    )
 
 
-def exports_of(document: Document) -> tuple[dict[str, bytes], dict[str, str]]:
+def export_all_formats(document: Document) -> tuple[dict[str, bytes], dict[str, str]]:
     """Return the files of a calibration in all formats, and why some have none."""
     from sunarc.formats.formats import FORMATS, export  # noqa: PLC0415 - a run that makes none does without
 

@@ -20,8 +20,8 @@ from sunarc.archives.fit import (
     without_suns,
 )
 from sunarc.archives.ledger import Ledger
-from sunarc.archives.nights import NightsLooked, name_stars, nights_of, star_points
-from sunarc.archives.obstructions import EpochObstructions, epoch_obstructions, images_of_epochs
+from sunarc.archives.nights import NightsLooked, collect_nights, name_stars, star_points
+from sunarc.archives.obstructions import EpochObstructions, epoch_obstructions, select_epoch_images
 from sunarc.archives.passes import (
     Looked,
     Passes,
@@ -39,7 +39,7 @@ from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.quality.fit_checks import unstated_tilt_deg
 from sunarc.calibration.quality.tilt import proposed_limit_deg
 from sunarc.common.errors import InputError, disk_errors
-from sunarc.common.findings import Finding, headline_of
+from sunarc.common.findings import Finding, choose_headline
 from sunarc.imager.archive.database.state_folder import lock_state
 from sunarc.imager.runtime.clock import Clock
 from sunarc.public.calibration_files import read_calibration
@@ -96,7 +96,7 @@ def reanalyse(
     OutsideError : the folder cannot be written or another run writes into it, or no worker answers.
     """
     if not indexed.cameras:
-        cause = headline_of([one.finding for one in indexed.failures or indexed.refused], used=0)
+        cause = choose_headline([one.finding for one in indexed.failures or indexed.refused], used=0)
         why = "" if cause is None else f"; {cause['n']} left out: {cause['reason']} [{cause['code']}]"
         raise InputError(field="SOURCE", problem=f"has no image to look at{why}", remedy="see above")
     began = clock.monotonic()
@@ -146,7 +146,7 @@ def _results(
     sunny = [n for n in found if len(again[n].points)]
     fitted = ledger.each(each, final_analysis, [again[n] for n in sunny], names=[names[n] for n in sunny])
     final = {n: without_suns(rough[n]) for n in found} | dict(zip(sunny, fitted, strict=True))
-    held = {n: _of_accepted_epochs(searched[n], looked[n], one) for n, one in final.items() if one is not None}
+    held = {n: _keep_accepted_epochs(searched[n], looked[n], one) for n, one in final.items() if one is not None}
     fewer = [n for n, one in held.items() if one.found != looked[n].found]
     looked |= held
     again |= {n: CameraSightings(looked[n].points()[0], given[n].camera, rough[n].states) for n in fewer}
@@ -154,8 +154,8 @@ def _results(
     final |= dict(zip(fewer, fitted, strict=True))
     passes.progress("calibrations", len(found), len(found))
     nights = _nights(cameras, final, _no_sky(cameras, looked, final, passes, ledger), passes)
-    final |= _with_stars(nights, final, again, passes, ledger)
-    final = {n: None if one is None else one.with_calibrations() for n, one in final.items()}
+    final |= _add_stars(nights, final, again, passes, ledger)
+    final = {n: None if one is None else one.drop_uncalibrated() for n, one in final.items()}
     obstructions = _obstructions(cameras, looked, final, passes, ledger)
     return _numbered(
         [
@@ -193,7 +193,7 @@ def _searched(cameras: Sequence[CameraImages], masks: Sequence[PackedMask | None
     return [without_frozen(one, camera.plan.site) for camera, one in zip(cameras, found, strict=True)]
 
 
-def _of_accepted_epochs(searched: Looked, looked: Looked, final: Final) -> Looked:
+def _keep_accepted_epochs(searched: Looked, looked: Looked, final: Final) -> Looked:
     """Return the second pass without the suns that only the prediction of a refused epoch has accepted."""
     if not final.fitted:
         return looked
@@ -204,7 +204,7 @@ def _of_accepted_epochs(searched: Looked, looked: Looked, final: Final) -> Looke
 
 def _kept_provisional(result: CameraResult) -> CameraResult:
     final = result.final
-    return result if final is None else replace(result, final=kept_provisional(final, _known(result.camera)))
+    return result if final is None else replace(result, final=kept_provisional(final, _load_known(result.camera)))
 
 
 def _no_sky(
@@ -215,7 +215,7 @@ def _no_sky(
     ledger: Ledger,
 ) -> dict[int, list[PackedMask | None]]:
     """Return the parts of the images that show no sky in each epoch of the cameras that have suns and nights."""
-    sunny = {n: one for n, one in final.items() if one is not None and one.epochs == one.with_calibrations().epochs}
+    sunny = {n: one for n, one in final.items() if one is not None and one.epochs == one.drop_uncalibrated().epochs}
     starry = {n: one for n, one in sunny.items() if cameras[n].nights}
     found = _obstructions(cameras, looked, starry, passes, ledger, title=", before its stars")
     return {number: [one.no_sky() for one in of_epochs] for number, of_epochs in found.items()}
@@ -232,12 +232,12 @@ def _nights(
     for number, camera in enumerate(cameras):
         one = final.get(number)
         states, epochs = ((), ()) if one is None else (one.states, one.epochs)
-        every.append(nights_of(camera, states, epochs, hidden.get(number, ())))
+        every.append(collect_nights(camera, states, epochs, hidden.get(number, ())))
     named = passes.name([one.work() for one in every], run=name_stars)
     return [NightsLooked(one, looked) for one, looked in zip(every, named, strict=True)]
 
 
-def _with_stars(
+def _add_stars(
     nights: Sequence[NightsLooked],
     final: Mapping[int, Final | None],
     suns: Mapping[int, CameraSightings],
@@ -274,7 +274,7 @@ def _given(camera: CameraImages) -> Calibration | None:
 
 def _sightings(camera: CameraImages, looked: Looked, given: Calibration | None) -> CameraSightings:
     """Return a camera's sightings; where it is given, with its state, whose tilt is then known."""
-    points, known = looked.points()[0], _known(camera)
+    points, known = looked.points()[0], _load_known(camera)
     if given is None:
         return CameraSightings(points, known)
     tilt_deg = unstated_tilt_deg(given) if given.verdict.accepted else None
@@ -319,12 +319,12 @@ def _obstructions(
     for number, one in final.items():
         if one is None:
             continue
-        given = images_of_epochs(looked[number], one, cameras[number].size)
+        given = select_epoch_images(looked[number], one, cameras[number].size)
         names = [f"{cameras[number].plan.name} {epoch}{title}" for epoch in range(len(given))]
         made = ledger.each(passes.cluster.each, epoch_obstructions, given, names=names)
         found[number] = tuple(each or EpochObstructions({}, 0, 0, "the worker that made it died", b"") for each in made)
     return found
 
 
-def _known(camera: CameraImages) -> ArchiveCamera:
+def _load_known(camera: CameraImages) -> ArchiveCamera:
     return ArchiveCamera(camera.plan.site, camera.size, camera.plan.options)

@@ -10,12 +10,12 @@ import cv2
 import numpy as np
 
 from sunarc.archives.fit import Rough, doubts
-from sunarc.archives.states import ArchiveCamera, Epoch, State, cause_of
+from sunarc.archives.states import ArchiveCamera, Epoch, State, classify_cause
 from sunarc.calibration.model.result import Calibration
 from sunarc.common.array_types import evenly_spread
 from sunarc.common.findings import Finding
 from sunarc.common.utc import utc_time
-from sunarc.public.star_files import StarImage, StarOptions, blind_result, named_stars, stars_of_image
+from sunarc.public.star_files import StarImage, StarOptions, blind_result, detect_star_image, named_stars
 from sunarc.sources.image_files import images_in
 from sunarc.sources.index import ArchiveImage, all_at_night, by_night
 from sunarc.sources.sources import open_source
@@ -54,7 +54,7 @@ def first_by_stars(given: CameraNightImages) -> Rough:
     """
     cv2.setNumThreads(1)
     found = _StarSearch(given)
-    held = [(night, number) for night in found.nights if (number := found.state_of(night)) is not None]
+    held = [(night, number) for night in found.nights if (number := found.named_state(night)) is not None]
     if not held:
         at_night = all_at_night(given.images, given.camera.site)
         return Rough(findings=(*found.refused[:1], at_night))
@@ -91,7 +91,7 @@ class _StarSearch:
                 if self._start(self._seen(night)) is not None:
                     break
 
-    def state_of(self, night: _Night) -> int | None:
+    def named_state(self, night: _Night) -> int | None:
         """Return the number of the state that a night's stars are named by; None without one."""
         seen = self._seen(night)
         for number, state in enumerate(self.states):
@@ -125,7 +125,7 @@ class _StarSearch:
         camera = self._camera
         source = open_source(image.address)
         return [
-            stars_of_image(pixels, utc_time(image.unix_s), camera.site, StarOptions(), name=image.name)
+            detect_star_image(pixels, utc_time(image.unix_s), camera.site, StarOptions(), name=image.name)
             for _, pixels in images_in(source, image.file, [image.number], size=camera.size)
             if not isinstance(pixels, Finding)
         ]
@@ -148,6 +148,6 @@ def _epochs(held: Sequence[tuple[_Night, int]], states: Sequence[State]) -> list
         if epochs and epochs[-1].state == number:
             epochs[-1] = epochs[-1]._replace(end_unix_s=night.last_unix_s)
         else:
-            cause = cause_of(states[epochs[-1].state], states[number]) if epochs else "start"
+            cause = classify_cause(states[epochs[-1].state], states[number]) if epochs else "start"
             epochs.append(Epoch(number, cause, 0, -1, night.first_unix_s, night.last_unix_s))
     return epochs

@@ -25,7 +25,7 @@ from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.pose import estimate_pose
 from sunarc.calibration.quality.tilt import mount_density
 from sunarc.calibration.verdict import is_undetermined
-from sunarc.changes.epoch_changes import EpochCause, noise_of_days
+from sunarc.changes.epoch_changes import EpochCause, estimate_daily_noise
 from sunarc.common.array_types import BoolArray, FloatArray, IntArray, evenly_spread
 from sunarc.common.findings import Finding
 from sunarc.common.robust_statistics import finite, robust_sigma
@@ -111,9 +111,9 @@ class ArchiveCamera(NamedTuple):
 
     def distances(self, state: State, points: Sightings) -> FloatArray:
         """Return how far each sighting lies from where a state predicts it, (n,) px."""
-        return self.distances_of(state.calibration, points, state.clock_offset_s)
+        return self.calibration_distances(state.calibration, points, state.clock_offset_s)
 
-    def distances_of(self, calibration: Calibration, points: Sightings, offset_s: float) -> FloatArray:
+    def calibration_distances(self, calibration: Calibration, points: Sightings, offset_s: float) -> FloatArray:
         """Return the same for a calibration, and a clock that is ahead by an offset."""
         directions = sun_directions(points.unix_s - offset_s, self.site)
         residual = finite(points.pixels - project_fast(calibration.camera, directions))
@@ -140,7 +140,7 @@ def find_states(points: Sightings, camera: ArchiveCamera, known: Sequence[State]
     camera : see there.
     known : states that are tried first.
     """
-    thin, day = _thinned(points, camera.site)
+    thin, day = _thin_sightings(points, camera.site)
     states = list(known)
     hopeless: set[int] = set()
     refusal = Finding("too_few_sightings", {"n": len(thin), "least": _FEWEST})
@@ -155,7 +155,7 @@ def find_states(points: Sightings, camera: ArchiveCamera, known: Sequence[State]
         else:
             states.append(state)
     if not states and len(thin) >= _FEWEST:  # what they do not determine is said of a camera
-        state, finding = _with_other_lens((), thin, camera, determined=False)
+        state, finding = _try_other_lens((), thin, camera, determined=False)
         states += [] if state is None else [state]
     return Found(tuple(_simplified(states, len(known), thin, camera)), None if states else refusal)
 
@@ -174,13 +174,13 @@ def _simplified(states: Sequence[State], n_known: int, points: Sightings, camera
         if found and len(own) >= _FEWEST and all(state.lens != one.lens for one in found):
             posed = _in_other_pose(found, own, camera)
             free = 1 + max(one.pose for one in (*states, *found))
-            simpler = _with_other_clock(found, own, camera) or (posed and posed._replace(pose=free))
+            simpler = _try_other_clock(found, own, camera) or (posed and posed._replace(pose=free))
             state = simpler or state  # noqa: PLW2901 - the same state, said otherwise
         found.append(state)
     return found
 
 
-def _thinned(points: Sightings, site: Site) -> tuple[Sightings, IntArray]:
+def _thin_sightings(points: Sightings, site: Site) -> tuple[Sightings, IntArray]:
     day = solar_days(points.unix_s, longitude=site.longitude)
     rows = [np.flatnonzero(day == one) for one in np.unique(day)]
     retained = [row[:: -(-row.size // _PER_DAY)] for row in rows if row.size >= _FEWEST_PER_DAY]
@@ -236,14 +236,16 @@ def _next_state(
         places = range(max(len(open_days) - width, 0) + 1)
         for place in places[:: -(-len(places) // _MOST_WINDOWS)]:
             window = points.select(np.isin(day, open_days[place : place + width]))
-            found, finding = _state_of(states, window, camera)
+            found, finding = _fit_state(states, window, camera)
             if found is not None:
                 return found, None
             refusal = finding or refusal
     return None, refusal
 
 
-def _state_of(states: Sequence[State], window: Sightings, camera: ArchiveCamera) -> tuple[State | None, Finding | None]:
+def _fit_state(
+    states: Sequence[State], window: Sightings, camera: ArchiveCamera
+) -> tuple[State | None, Finding | None]:
     """Return the state of some days, and the reason why it is missing."""
     # of days that are partly explained, what is left is of the new state
     for state in states:
@@ -251,23 +253,23 @@ def _state_of(states: Sequence[State], window: Sightings, camera: ArchiveCamera)
         window = window.select(rest) if np.count_nonzero(rest) >= _FEWEST else window
     if len(window) < _FEWEST:
         return None, None
-    for find in (_with_other_clock, _in_other_pose):
+    for find in (_try_other_clock, _in_other_pose):
         found = find(states, window, camera)
         if found is not None:
             return found, None
-    return _with_other_lens(states, window, camera)
+    return _try_other_lens(states, window, camera)
 
 
 def _judged(
     calibration: Calibration, offset_s: float, points: Sightings, camera: ArchiveCamera, sigma_px: float
 ) -> tuple[float, float]:
     """Return the share of sightings that a camera explains, and their robust scatter."""
-    distance = camera.distances_of(calibration, points, offset_s)
+    distance = camera.calibration_distances(calibration, points, offset_s)
     scatter = robust_sigma(distance, floor=0.05)
     return float(np.mean(distance < _near_px(sigma_px))), scatter
 
 
-def _with_other_clock(states: Sequence[State], points: Sightings, camera: ArchiveCamera) -> State | None:
+def _try_other_clock(states: Sequence[State], points: Sightings, camera: ArchiveCamera) -> State | None:
     """Return a known state with its clock ahead or behind."""
     best: tuple[float, State] | None = None
     for state in states:
@@ -322,7 +324,7 @@ def _one_a_lens(states: Sequence[State]) -> list[State]:
     return list({state.lens: state for state in states}.values())
 
 
-def _with_other_lens(
+def _try_other_lens(
     states: Sequence[State], points: Sightings, camera: ArchiveCamera, *, determined: bool = True
 ) -> tuple[State | None, Finding | None]:
     """Return a new lens, and the reason why it is missing; unless it has to be determined, also one that is not."""
@@ -343,12 +345,12 @@ def _with_other_lens(
     )
     if not fitted.verdict.accepted and (determined or not is_undetermined(fitted.verdict)):
         return None, fitted.verdict.findings[0]
-    scatter = robust_sigma(camera.distances_of(fitted, points, clock), floor=0.05)
-    most = _OVER_NOISE * float(np.median(noise_of_days(points, camera.site))) + _OVER_NOISE_PX
+    scatter = robust_sigma(camera.calibration_distances(fitted, points, clock), floor=0.05)
+    most = _OVER_NOISE * float(np.median(estimate_daily_noise(points, camera.site))) + _OVER_NOISE_PX
     if scatter > most:
         return None, Finding("days_of_two_states", {"scatter_px": scatter, "limit_px": most})
-    near = camera.distances_of(fitted, points, clock) < _near_px(scatter)
-    near = _of_explained_days(near, solar_days(points.unix_s, longitude=camera.site.longitude))
+    near = camera.calibration_distances(fitted, points, clock) < _near_px(scatter)
+    near = _on_explained_days(near, solar_days(points.unix_s, longitude=camera.site.longitude))
     share = float(np.mean(near))
     if share < _MAJORITY:
         return None, Finding("sightings_disagree", {"share": share, "least": _MAJORITY})
@@ -368,7 +370,7 @@ def _with_other_lens(
     return State(fitted, lens, pose, clock, scatter), None
 
 
-def _of_explained_days(near: BoolArray, day: IntArray) -> BoolArray:
+def _on_explained_days(near: BoolArray, day: IntArray) -> BoolArray:
     """Return which sightings are near, of the days (n,) of which most are: a fit of a half of each is no camera."""
     explained = [one for one in np.unique(day).tolist() if float(np.mean(near[day == one])) >= _EXPLAINED]
     return np.asarray(near & np.isin(day, explained))
@@ -432,10 +434,10 @@ def find_epochs(points: Sightings, states: Sequence[State], camera: ArchiveCamer
     states : as `find_states` returns them.
     camera : see there.
     """
-    noise = np.hypot(noise_of_days(points, camera.site), _MISFIT_PX)
+    noise = np.hypot(estimate_daily_noise(points, camera.site), _MISFIT_PX)
     costs = np.stack([bounded_cost(camera.distances(state, points) / noise, 1.0) for state in states], axis=1)
     path = likeliest_path(costs, change_cost=EPOCHS.gain)
-    return epochs_of(path, states, points), path
+    return split_epochs(path, states, points), path
 
 
 _SURE = 0.999
@@ -454,7 +456,7 @@ def surely_held(
     epochs : one after the other.
     points, states, camera : as `find_epochs` takes them.
     """
-    noise = np.hypot(noise_of_days(points, camera.site), _MISFIT_PX)
+    noise = np.hypot(estimate_daily_noise(points, camera.site), _MISFIT_PX)
     found = list(epochs)
     for number, (one, other) in enumerate(itertools.pairwise(epochs)):
         rows = slice(one.first, other.last + 1)
@@ -493,19 +495,19 @@ def alternation(points: Sightings, states: Sequence[State], camera: ArchiveCamer
     return Finding("sightings_alternate", {"changes": changes, "n": n})
 
 
-def epochs_of(path: IntArray, states: Sequence[State], points: Sightings) -> list[Epoch]:
+def split_epochs(path: IntArray, states: Sequence[State], points: Sightings) -> list[Epoch]:
     """Return the epochs in which sightings (n,) in the order of time are of one state each."""
     bounds = np.flatnonzero(np.diff(path, prepend=-1))
     epochs: list[Epoch] = []
     for number, first in enumerate(bounds.tolist()):
         last = int(bounds[number + 1]) - 1 if number + 1 < bounds.size else len(points) - 1
         state = int(path[first])
-        cause = cause_of(states[epochs[-1].state], states[state]) if epochs else "start"
+        cause = classify_cause(states[epochs[-1].state], states[state]) if epochs else "start"
         epochs.append(Epoch(state, cause, first, last, float(points.unix_s[first]), float(points.unix_s[last])))
     return epochs
 
 
-def cause_of(former: State, state: State) -> EpochCause:
+def classify_cause(former: State, state: State) -> EpochCause:
     """Return the change from one state to the next."""
     if state.lens != former.lens:
         return "lens"
@@ -516,7 +518,7 @@ _RARE_CLOCK = 0.02
 """Share of the sightings of a pose that are taken to be by a clock which only other poses are known to have had."""
 
 
-def with_true_clock(states: Sequence[State], path: IntArray, site: Site) -> list[State]:
+def correct_clock(states: Sequence[State], path: IntArray, site: Site) -> list[State]:
     """Return states whose offsets are against the clock that is right, each camera turned with the sky.
 
     The sightings of a pose do not tell a wrong clock from a camera that is turned about the pole. A clock is right most

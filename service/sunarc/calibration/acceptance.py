@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from sunarc.calibration.answers.covariance import (
     hemisphere,
     project_with_covariance,
-    with_covariance,
+    replace_covariance,
     without_clock,
 )
 from sunarc.calibration.evidence import squared_sigmas
@@ -25,7 +25,7 @@ from sunarc.common.findings import Data
 from sunarc.common.robust_statistics import MAD_TO_SIGMA
 from sunarc.optics.camera import FOCAL_LENGTH, PARAMETER_NAMES
 from sunarc.optics.forward import project
-from sunarc.sky.days import day_of_date, solar_days
+from sunarc.sky.days import date_to_day, solar_days
 
 # How much a camera turns to and fro from day to day, and what that does to how sure one is of it.
 #
@@ -82,12 +82,12 @@ def in_any_season(calibration: Calibration, share: float) -> Calibration:
     for name, focal in zip(PARAMETER_NAMES[FOCAL_LENGTH], calibration.camera.focal_length_px, strict=True):
         if name in names:
             change[names.index(name)] = share * focal
-    return with_covariance(calibration, calibration.covariance + np.outer(change, change)) if share else calibration
+    return replace_covariance(calibration, calibration.covariance + np.outer(change, change)) if share else calibration
 
 
 def unseen_points(points: Sightings, current: Calibration) -> Sightings:
     """Return the sightings of the latest pose epoch, of days that a calibration does not rest on."""
-    known_days = [day_of_date(date.fromisoformat(day)) for day in current.evidence.days]
+    known_days = [date_to_day(date.fromisoformat(day)) for day in current.evidence.days]
     day = solar_days(points.unix_s, longitude=current.site.longitude)
     return points.select((points.epoch == points.epoch.max(initial=0)) & ~np.isin(day, known_days))
 
@@ -141,7 +141,7 @@ def contradiction(succession: Succession) -> Data | None:
 def growth(succession: Succession) -> Data | None:
     """Return the stated uncertainties of both."""
     current = succession.changed_from
-    return None if current is None else sigmas_of(succession.candidate, current)
+    return None if current is None else stated_sigmas(succession.candidate, current)
 
 
 def allowed_growth(succession: Succession) -> float:
@@ -175,7 +175,7 @@ def unproven_change(succession: Succession) -> Data | None:
     return {"change_px": float(np.sqrt(np.mean(np.sum(difference**2, axis=-1)))), "stated_px": stated}
 
 
-def sigmas_of(candidate: Calibration, current: Calibration) -> dict[str, float]:
+def stated_sigmas(candidate: Calibration, current: Calibration) -> dict[str, float]:
     """Return the stated 1-sigma over the sky, degrees, of the fits alone."""
     return {"now_deg": fit_direction_sigma_rms_deg(candidate), "before_deg": fit_direction_sigma_rms_deg(current)}
 

@@ -7,12 +7,12 @@ from functools import reduce
 from typing import Required, TypedDict, Unpack
 
 from sunarc.calibration.fit.assemble import Job, calibration_from_fit, refused, robust_outcome
-from sunarc.calibration.fit.cross_validation import contradiction, day_contradicts_night, of_one_kind
-from sunarc.calibration.fit.level_evidence import log_odds_of_tilt
+from sunarc.calibration.fit.cross_validation import contradiction, day_contradicts_night, select_one_kind
+from sunarc.calibration.fit.level_evidence import tilt_log_odds
 from sunarc.calibration.fit.robust_fit import fit_robustly
 from sunarc.calibration.handedness import Fitted, HandChoice, chosen_hand, log_odds_against_twin, named_other
 from sunarc.calibration.model.options import USUAL_OPTIONS, CalibrationOptions, ImageCircle
-from sunarc.calibration.model.result import Calibration, with_finding
+from sunarc.calibration.model.result import Calibration, add_finding
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.paper import fit_as_paper
 from sunarc.calibration.plausible_start import most_plausible_start
@@ -102,21 +102,21 @@ def calibrated(job: Job, fitted: Fitted | None = None) -> Calibration:
     by_paper = job.options.method == "paper"
     found = None if by_paper else contradiction(fitted.fit, job.usable)
     if found is not None:
-        return _of_one_kind(job, found)
+        return _fit_one_kind(job, found)
     hand = chosen_hand(fitted, job) if job.parts else HandChoice(fitted)
     start, fit = hand.fitted
     if by_paper:
         outcome = fit_as_paper(job.usable, start.cameras, options=job.options)
     else:
         outcome = robust_outcome(fit, job.usable, job.options, parts=job.parts)
-        of_tilt = log_odds_of_tilt(fit, outcome.cameras[-1], job.site) if job.parts else None
+        of_tilt = tilt_log_odds(fit, outcome.cameras[-1], job.site) if job.parts else None
         if of_tilt is not None:
             if of_tilt >= TILT_SHOWN:  # a mirror image of a level camera is no tilted one either
                 of_tilt = min(of_tilt, log_odds_against_twin(hand.fitted, job))
             outcome = outcome._replace(log_odds={**outcome.log_odds, TILT: of_tilt})
     calibration = calibration_from_fit(outcome, job, others=hand.against)
     if calibration.verdict.accepted:
-        return reduce(with_finding, hand.found, calibration)
+        return reduce(add_finding, hand.found, calibration)
     return calibration if hand.against else _explained(calibration, job, hand.fitted)
 
 
@@ -130,13 +130,13 @@ def _explained(calibration: Calibration, job: Job, fitted: Fitted | None) -> Cal
     return replace(calibration, verdict=replace(verdict, findings=(*named_other(fitted, job), *verdict.findings)))
 
 
-def _of_one_kind(job: Job, found: Finding) -> Calibration:
+def _fit_one_kind(job: Job, found: Finding) -> Calibration:
     """Return the fit of the day's sightings; of the night's where the day's are at fault."""
-    day = calibrated(job._replace(usable=of_one_kind(job.usable, found, night=False)))
-    night = calibrated(job._replace(usable=of_one_kind(job.usable, found, night=True)))
+    day = calibrated(job._replace(usable=select_one_kind(job.usable, found, night=False)))
+    night = calibrated(job._replace(usable=select_one_kind(job.usable, found, night=True)))
     suns = job.usable.select(~job.usable.night)
     suns = replace(suns, sigma_px=job.points.sigma_px[suns.index])
     fault = day_contradicts_night(found, day, night, suns)
     if fault is None:
         return day
-    return calibrated(job._replace(usable=of_one_kind(job.usable, fault, night=True)))
+    return calibrated(job._replace(usable=select_one_kind(job.usable, fault, night=True)))

@@ -32,7 +32,7 @@ class ComparedLens(NamedTuple):
     grid: HyperparameterGrid
 
 
-def log_evidences_of_fits(fits: Mapping[Name, FitState]) -> dict[Name, float]:
+def compare_log_evidences(fits: Mapping[Name, FitState]) -> dict[Name, float]:
     """Return the log evidence of each finished fit of the same sightings over the best one's, 0 for the best."""
     lenses = {name: ComparedLens(one.problem, one.observed, one.unknowns, one.grid) for name, one in fits.items()}
     best = fits[closest(lenses)]

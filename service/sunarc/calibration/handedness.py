@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunarc.calibration.compared_fits import log_evidences_of_fits
+from sunarc.calibration.compared_fits import compare_log_evidences
 from sunarc.calibration.fit.assemble import Job
 from sunarc.calibration.fit.robust_fit import FitState, fit_robustly
 from sunarc.calibration.model.sightings import Kind, filter_sightings
@@ -57,15 +57,15 @@ def chosen_hand(fitted: Fitted, job: Job) -> HandChoice:
     """
     stated, other, gain = job.options.mirrored, None, math.inf
     if stated not in {"no", "yes"}:
-        other = fit_of_hand(job, _other(fitted.start.hand), than=fitted.start.cost)
-        gain = math.inf if other is None else -gain_of_other(fitted, other, job)
+        other = fit_handedness(job, _other(fitted.start.hand), than=fitted.start.cost)
+        gain = math.inf if other is None else -other_fit_log_odds(fitted, other, job)
         if other is not None and stated == "auto" and gain < 0.0:
             fitted, other, gain = other, fitted, -gain
     if other is not None and gain < -_BETTER:
         return HandChoice(fitted, other_fits(other, job))
     if gain < _AMBIGUOUS:
         return HandChoice(fitted, (Finding("mirroring_ambiguous"),))
-    twin = _of_other_latitude(fitted, job) if fitted.start.hand == "yes" else None
+    twin = _check_other_latitude(fitted, job) if fitted.start.hand == "yes" else None
     if twin is None:
         return HandChoice(fitted)
     return HandChoice(fitted, found=(twin,)) if stated == "yes" else HandChoice(fitted, (twin,))
@@ -75,11 +75,11 @@ def named_other(fitted: Fitted | None, job: Job) -> tuple[Finding, ...]:
     """Return the finding that the handedness which is not assumed fits far better, or alone; nothing otherwise."""
     if fitted is None:
         stated: Hand = "yes" if job.options.mirrored == "yes" else "no"
-        found = fit_of_hand(job, _other(stated), than=math.inf)
+        found = fit_handedness(job, _other(stated), than=math.inf)
         return () if found is None else other_fits(found, job, compared=False)
     hand = _other(fitted.start.hand)
-    other = fit_of_hand(job, hand, than=fitted.start.cost)
-    if other is None or gain_of_other(fitted, other, job) < _BETTER:
+    other = fit_handedness(job, hand, than=fitted.start.cost)
+    if other is None or other_fit_log_odds(fitted, other, job) < _BETTER:
         return ()
     return other_fits(other, job)
 
@@ -91,7 +91,7 @@ def other_fits(other: Fitted, job: Job, *, compared: bool = True) -> tuple[Findi
     equator it mostly does not, and both latitudes would name each other.
     """
     hand = other.start.hand
-    twin = _of_other_latitude(other, job) if hand == "yes" else None
+    twin = _check_other_latitude(other, job) if hand == "yes" else None
     found = Finding(
         "other_handedness_fits" if compared else "other_handedness_alone_fits",
         {"mirrored": hand, "stated": _other(hand), "latitude": -job.site.latitude},
@@ -99,7 +99,7 @@ def other_fits(other: Fitted, job: Job, *, compared: bool = True) -> tuple[Findi
     return (found,) if twin is None else (twin, found)
 
 
-def fit_of_hand(job: Job, hand: Hand, *, than: float) -> Fitted | None:
+def fit_handedness(job: Job, hand: Hand, *, than: float) -> Fitted | None:
     """Return the fit of one handedness; None where no camera is found, or its start costs far more than another."""
     start = plausible_start(job, hand)
     if start is None or start.cost > than + _FAR:
@@ -107,13 +107,13 @@ def fit_of_hand(job: Job, hand: Hand, *, than: float) -> Fitted | None:
     return Fitted(start, fit_robustly(job.usable, start.cameras, job.options, job.circle))
 
 
-def gain_of_other(fitted: Fitted, other: Fitted, job: Job) -> float:
+def other_fit_log_odds(fitted: Fitted, other: Fitted, job: Job) -> float:
     """Return the natural log odds of another fit of the job's sightings, mounts considered.
 
     0 where neither camera comes near the sightings, so that they tell nothing.
     """
     both = {False: fitted.fit, True: other.fit}
-    evidence = log_evidences_of_fits(both)
+    evidence = compare_log_evidences(both)
     limit_deg = job.options.level_within_deg
     mounts = _log_density(other.fit, limit_deg) - _log_density(fitted.fit, limit_deg)
     gain = evidence[True] - evidence[False] + mounts
@@ -125,10 +125,10 @@ def log_odds_against_twin(fitted: Fitted, job: Job) -> float:
 
     Asked whatever handedness is stated: at another latitude a mirror image of a level camera is that of a tilted one.
     """
-    twin = fit_of_hand(job, _other(fitted.start.hand), than=fitted.start.cost)
+    twin = fit_handedness(job, _other(fitted.start.hand), than=fitted.start.cost)
     if twin is None or _tilt_deg(twin) > _tilt_deg(fitted) - LEVEL_DEG:
         return math.inf
-    return -gain_of_other(fitted, twin, job)
+    return -other_fit_log_odds(fitted, twin, job)
 
 
 def _tilt_deg(fitted: Fitted) -> float:
@@ -146,7 +146,7 @@ def _other(hand: Hand) -> Hand:
     return "no" if hand == "yes" else "yes"
 
 
-def _of_other_latitude(fitted: Fitted, job: Job) -> Finding | None:
+def _check_other_latitude(fitted: Fitted, job: Job) -> Finding | None:
     """Return that a camera that is not mirrored fits about as well at the latitude of the other sign; None otherwise.
 
     The stars tell a latitude, and stated directions are of one: only the sun's track is asked.
@@ -161,12 +161,12 @@ def _of_other_latitude(fitted: Fitted, job: Job) -> Finding | None:
     some = usable.select(there)
     if before_fit(some, job.options) or np.unique(some.epoch).size != np.unique(job.usable.epoch).size:
         return None
-    twin = fit_of_hand(job._replace(usable=some, site=site, start=None), "no", than=fitted.start.cost)
+    twin = fit_handedness(job._replace(usable=some, site=site, start=None), "no", than=fitted.start.cost)
     if twin is None:
         return None
     if not np.all(here):  # the same sightings on both sides
         job = job._replace(usable=job.usable.select(here))
         fitted = fitted._replace(fit=fit_robustly(job.usable, fitted.start.cameras, job.options, job.circle))
-    if gain_of_other(fitted, twin, job) <= -_BETTER:
+    if other_fit_log_odds(fitted, twin, job) <= -_BETTER:
         return None
     return Finding("latitude_of_other_sign_fits", {"latitude": -job.site.latitude})

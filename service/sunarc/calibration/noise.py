@@ -15,7 +15,7 @@ from sunarc.calibration.start.multistart import SMALLEST_SIGMA_PX
 from sunarc.common.array_types import BoolArray, FloatArray, IntArray
 from sunarc.common.robust_statistics import (
     INFORMATION_PER_WEIGHT,
-    median_of,
+    fast_median,
     robust_sigma,
     surely_well_behaved,
     tukey_weights,
@@ -116,7 +116,7 @@ def growth_rate(distance: FloatArray, zenith: FloatArray, rho: float) -> float:
     power = float(offset @ offset)
     if distance.size < _ENOUGH_PAIRS or power == 0.0:
         return 0.0
-    least = max(_LEAST_DISTANCE * median_of(distance), float(np.finfo(np.float64).tiny))
+    least = max(_LEAST_DISTANCE * fast_median(distance), float(np.finfo(np.float64).tiny))
     slope = 2.0 * float(offset @ np.log(np.maximum(distance, least))) / power
     error = _SPREAD_OF_LOG * math.sqrt((1.0 + rho**2) / max(1.0 - rho**2, 1e-6) / power)
     # beyond three standard errors chance alone is one in 400: even noise is to keep even weights
@@ -183,7 +183,7 @@ def measured_noise(
     residuals : (n, 2) px, of the sightings.
     observed : the sightings.
     groups : of the sightings.
-    leverage : (n,) of each sighting on the fit, see `leverage_of`; None where each has little.
+    leverage : (n,) of each sighting on the fit, see `compute_leverage`; None where each has little.
     """
     if leverage is not None:
         residuals = residuals / np.sqrt(1.0 - leverage)[:, None]

@@ -58,7 +58,7 @@ class DenseRecord(NamedTuple):
     within_px: float
     slot_s: float
 
-    def of_all(self, solved: Calibration, normal: Sightings) -> tuple[Calibration, Sightings]:
+    def fit_as_all_sightings(self, solved: Calibration, normal: Sightings) -> tuple[Calibration, Sightings]:
         """Return a fit of the normal points as one of all sightings, and these with their pose epochs.
 
         Parameters
@@ -76,7 +76,7 @@ class DenseRecord(NamedTuple):
         n, evidence = int(np.count_nonzero(counted)), solved.evidence
         size = float(np.median(np.bincount(self.member)))
         noise = evidence.sigma_px**2 * evidence.inflation * size / self.sigma_px**2
-        of_all = replace(
+        fit_as_all_sightings = replace(
             solved,
             left_out=left_out,
             metrics=self._metrics(solved.metrics, n),
@@ -90,10 +90,12 @@ class DenseRecord(NamedTuple):
             ),
         )
         said = {"n": int(np.sum(normal.count)), "n_points": len(normal), "slot_s": self.slot_s}
-        found = [_about(one, of_all) for one in solved.verdict.findings]
+        found = [_about(one, fit_as_all_sightings) for one in solved.verdict.findings]
         if solved.verdict.accepted:
             found.append(Finding("sightings_in_slots", said))
-        return replace(of_all, verdict=replace(solved.verdict, findings=tuple(found))), self._numbered(normal)
+        return replace(fit_as_all_sightings, verdict=replace(solved.verdict, findings=tuple(found))), self._numbered(
+            normal
+        )
 
     def _metrics(self, of_points: Metrics, n: int) -> Metrics:
         """Return the metrics of n sightings: of the normal points, with the scatter within the slots."""

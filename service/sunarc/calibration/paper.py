@@ -48,7 +48,7 @@ class Penalties(NamedTuple):
     slope_by_radial: FloatArray
 
 
-def penalties_of(projection: Projection, options: PaperOptions) -> Penalties:
+def make_penalties(projection: Projection, options: PaperOptions) -> Penalties:
     """Return the penalties of cameras of a projection."""
     limit = _PERSPECTIVE_EDGE if projection == "perspective" else _RIGHT_ANGLE
     theta, orders = np.linspace(0.0, limit, _ANGLES), np.array(RADIAL_ORDERS)
@@ -166,14 +166,14 @@ def minimised(
         directions=np.ascontiguousarray(observed.directions),
         pixels=np.ascontiguousarray(observed.pixels),
         information=np.ascontiguousarray(observed.information),
-        **penalties_of(camera.projection, options)._asdict(),
+        **make_penalties(camera.projection, options)._asdict(),
         start=camera.to_vector(),
         moving=moving,
         most_steps=most_steps,
         least_gain=_LEAST_GAIN,
         first_damping=first_damping,
     )
-    return camera.with_parameters(vector), normal
+    return camera.replace_parameters(vector), normal
 
 
 # The pose by the direct linear transform (Eqs. 23 to 25).

@@ -15,13 +15,13 @@ import numpy as np
 from sunarc.calibration.answers.error_model import (
     CameraErrorModel,
     Predicted,
-    error_model_of,
+    build_error_model,
+    coefficient_covariance,
     joint_covariance,
     moved,
+    parameter_covariance,
     predicted,
     rotated,
-    with_coefficients,
-    with_parameters,
 )
 from sunarc.calibration.evidence import (
     MixtureFit,
@@ -64,12 +64,12 @@ def noise_px(start: Calibration, sigma_px: FloatArray) -> FloatArray:
     return np.maximum(estimated_sigma_px, max(usual, _SMALLEST_SIGMA_PX))
 
 
-def with_noise(usable: Sightings, points: Sightings, start: Calibration) -> Sightings:
+def assign_noise(usable: Sightings, points: Sightings, start: Calibration) -> Sightings:
     """Return the usable sightings, their sigma in px: as stated with them, see `noise_px`."""
     return replace(usable, sigma_px=noise_px(start, points.sigma_px[usable.index]))
 
 
-def inflation_of(start: Calibration) -> float:
+def variance_inflation(start: Calibration) -> float:
     """Return by how much a sighting's variance grows because its neighbours err alike."""
     found = start.evidence.inflation
     return min(max(found, 1.0), _LARGEST_INFLATION) if math.isfinite(found) else 1.0
@@ -99,13 +99,13 @@ def conditioned(error_model: CameraErrorModel, at: Predicted, sightings: PixelRe
     from scipy.linalg import cho_solve  # noqa: PLC0415 - a fit of sightings alone loads without it
 
     factor = (factored(total), True)
-    shared = with_parameters(error_model, at)
+    shared = parameter_covariance(error_model, at)
     # the Kalman gain, all sightings at once
     gain = cho_solve(factor, shared.T).T
     residual = sightings.residual.ravel() - at.rows.reshape(sightings.residual.size, -1) @ error_model.mean
     covariance = error_model.covariance - gain @ shared.T
     field = error_model.field
-    cross = np.stack([field.cross[axis] - gain @ with_coefficients(error_model, at, axis) for axis in (0, 1)])
+    cross = np.stack([field.cross[axis] - gain @ coefficient_covariance(error_model, at, axis) for axis in (0, 1)])
     return replace(
         error_model,
         mean=error_model.mean + gain @ residual,
@@ -150,8 +150,8 @@ def estimate_pose(
     job = Job(points=points, usable=usable, site=site, image_size=size, options=options, free="pose")
     if len(usable) < FEWEST:
         return refused(job, (Finding("too_few_sightings", {"n": len(usable), "least": FEWEST}),))
-    fit = fit_pose(start, with_noise(usable, points, start))
-    fitted = outcome_of(fit, start, usable, wander_rad=math.radians(wander_deg))
+    fit = fit_pose(start, assign_noise(usable, points, start))
+    fitted = make_outcome(fit, start, usable, wander_rad=math.radians(wander_deg))
     return calibration_from_fit(fitted, job)
 
 
@@ -199,11 +199,11 @@ def fit_pose(start: Calibration, sightings: Sightings, *, turned_rad: float | No
     Parameters
     ----------
     start : lens, former pose and what is known of both.
-    sightings : in the order of time, with directions and sigma in px (`with_noise`).
+    sightings : in the order of time, with directions and sigma in px (`assign_noise`).
     turned_rad : 1-sigma of the rotation about each axis since the former pose; None where the camera may have turned
         by any angle.
     """
-    error_model, camera = error_model_of(start), start.camera.at_every_angle()
+    error_model, camera = build_error_model(start), start.camera.at_every_angle()
     apart = sightings.pixels - project_fast(camera, sightings.directions)
     area_px2 = float(camera.width * camera.height)
     sightings = replace(sightings, false_density=false_density(apart, area_px2=area_px2))
@@ -214,8 +214,8 @@ def fit_pose(start: Calibration, sightings: Sightings, *, turned_rad: float | No
     base = rotated(camera, rotation)
     close = np.linalg.norm(finite(thin.pixels - project_fast(base, thin.directions)), axis=-1) < _CLOSE * tolerance
     # how far the camera turned is a hyperparameter: each scale is conditioned, then all are averaged
-    priors = [error_model.with_free_rotation(-rotation, sigma_rad=float(scale)) for scale in scales]
-    return conditioned_pose(priors, np.log(scales), base, sightings, close, inflation=inflation_of(start))
+    priors = [error_model.add_free_rotation(-rotation, sigma_rad=float(scale)) for scale in scales]
+    return conditioned_pose(priors, np.log(scales), base, sightings, close, inflation=variance_inflation(start))
 
 
 def conditioned_pose(
@@ -331,7 +331,7 @@ def _mixed(fits: list[CameraErrorModel], log_weight: FloatArray) -> CameraErrorM
     return replace(fits[0], mean=mean, covariance=covariance, field=replace(fits[0].field, cross=cross))
 
 
-def outcome_of(fit: PoseFit, start: Calibration, usable: Sightings, *, wander_rad: float) -> FitOutcome:
+def make_outcome(fit: PoseFit, start: Calibration, usable: Sightings, *, wander_rad: float) -> FitOutcome:
     """Return the result of the pose's fit as every method's; the turn's axes become those of the rotation vector."""
     error_model, size = fit.error_model, fit.error_model.mean.size
     covariance = error_model.covariance.copy()
@@ -349,7 +349,7 @@ def outcome_of(fit: PoseFit, start: Calibration, usable: Sightings, *, wander_ra
         residual=residual,
         used=fit.inlier,
         sigma_px=fit.sigma_px,
-        inflation=inflation_of(start),
+        inflation=variance_inflation(start),
         radial_px=start.evidence.radial_px,
         held_out=None,
     )

@@ -14,10 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunarc.calibration.answers.covariance import seen_sky, sky_sigma_deg, with_covariance
-from sunarc.calibration.compared_fits import ComparedLens, closest, log_evidences, log_evidences_of_fits
+from sunarc.calibration.answers.covariance import replace_covariance, seen_sky, sky_sigma_deg
+from sunarc.calibration.compared_fits import ComparedLens, closest, compare_log_evidences, log_evidences
 from sunarc.calibration.fit.assemble import Job
-from sunarc.calibration.fit.robust_fit import fit_robustly, grid_of
+from sunarc.calibration.fit.robust_fit import fit_robustly, make_hyperparameter_grid
 from sunarc.calibration.handedness import Fitted
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import STRONG_EVIDENCE, Calibration, Verdict
@@ -115,13 +115,13 @@ class ChosenLens(NamedTuple):
         if self.choice is None or not self.choice.compared:
             return calibration
         cameras = [self.fits[name].fit.camera() for name in self.choice.possible if name in self.fits]
-        widened, off_deg = _with_differences(calibration, cameras)
+        widened, off_deg = _add_differences(calibration, cameras)
         verdict, finding = widened.verdict, self.choice.finding(off_deg)
         judged = JudgedFit(calibration=widened, usable=self.job.usable, options=self.job.options)
         against = findings(UNCERTAIN, judged) if verdict.accepted else ()
         if against:
             return replace(widened, verdict=Verdict(accepted=False, findings=(*against, finding)))
-        found = (_with_sigma(one, widened.sky_rms_deg) for one in verdict.findings)
+        found = (_replace_sigma(one, widened.sky_rms_deg) for one in verdict.findings)
         return replace(widened, verdict=replace(verdict, findings=(*found, finding)))
 
 
@@ -150,12 +150,12 @@ def options_as_served(options: CalibrationOptions, served: Calibration | None) -
     return options
 
 
-def _with_sigma(finding: Finding, sigma_deg: float) -> Finding:
+def _replace_sigma(finding: Finding, sigma_deg: float) -> Finding:
     """Return a finding, that of the stated uncertainty with another value."""
     return Finding(finding.code, {"sigma_deg": sigma_deg}) if finding.code == "direction_sigma" else finding
 
 
-def _with_differences(calibration: Calibration, others: Sequence[Camera]) -> tuple[Calibration, float]:
+def _add_differences(calibration: Calibration, others: Sequence[Camera]) -> tuple[Calibration, float]:
     """Return a calibration whose covariance holds its mean square difference to other cameras, and that in degrees."""
     if not others:
         return calibration, 0.0
@@ -180,7 +180,7 @@ def _with_differences(calibration: Calibration, others: Sequence[Camera]) -> tup
         more += np.outer(change, change)
         squares.append(float(np.mean(off[compared] ** 2)))
     n_compared = max(len(squares), 1)
-    widened = with_covariance(calibration, calibration.covariance + more / n_compared)
+    widened = replace_covariance(calibration, calibration.covariance + more / n_compared)
     rms, most = sky_sigma_deg(widened)
     return replace(widened, sky_rms_deg=rms, sky_max_deg=most), math.sqrt(sum(squares) / n_compared)
 
@@ -217,7 +217,9 @@ def compare_projections(job: Job) -> tuple[ProjectionChoice, dict[Projection, Fi
     for name, (cameras, _) in starts.items():
         options = jobs[name].options
         problem = single_problem(observed, cameras[0], options, job.circle, n_epochs=len(cameras))
-        lenses[name] = ComparedLens(problem, observed, problem.unknowns(cameras), grid_of(problem.template, options))
+        lenses[name] = ComparedLens(
+            problem, observed, problem.unknowns(cameras), make_hyperparameter_grid(problem.template, options)
+        )
     best = lenses[closest(lenses)]
     noise = measured_noise(best.problem.residuals(best.unknowns, observed), observed, groups)
     rough = log_evidences(lenses, groups.bins, noise.information)
@@ -227,7 +229,7 @@ def compare_projections(job: Job) -> tuple[ProjectionChoice, dict[Projection, Fi
         name: Fitted(starts[name], fit_robustly(observed, starts[name].cameras, jobs[name].options, job.circle))
         for name in near
     }
-    exact = log_evidences_of_fits({name: one.fit for name, one in fits.items()})
+    exact = compare_log_evidences({name: one.fit for name, one in fits.items()})
     return _choice({**rough, **exact}, len(observed)), fits
 
 

@@ -222,17 +222,17 @@ def _passes(record: Candidates, among: IntArray, day: IntArray, site: Site, opti
     key, of_run = np.unique((patch * n_epochs + epoch) * n_days + day - first_day, return_inverse=True)
     member = of_run[run]
     count = np.bincount(member, minlength=key.size)
-    of_patch, of_epoch = key // (n_days * n_epochs), key // n_days % n_epochs
+    of_patch, for_epoch = key // (n_days * n_epochs), key // n_days % n_epochs
     grade = sigma_grade(record.sigma_px[among], member, count)
     bits = _bits_reversed(key % n_days)
-    order = np.lexsort((bits, grade, of_epoch < n_epochs - 1, of_patch))
-    count, of_patch, of_epoch = count[order], of_patch[order], of_epoch[order]
+    order = np.lexsort((bits, grade, for_epoch < n_epochs - 1, of_patch))
+    count, of_patch, for_epoch = count[order], of_patch[order], for_epoch[order]
     rank = np.empty(key.size, dtype=np.int64)
     rank[order] = np.arange(key.size)
     return _Passes(
         n=count,
         before=_before(count, of_patch),
-        before_in_epoch=_before(count, of_patch * n_epochs + of_epoch),
+        before_in_epoch=_before(count, of_patch * n_epochs + for_epoch),
         rank=rank[member],
         patches=int(np.unique(of_patch).size),
     )
@@ -314,7 +314,7 @@ def _parts(angle: FloatArray, area: FloatArray) -> IntArray:
     return np.asarray(_RINGS * sector + np.clip(np.floor(_RINGS * area), 0, _RINGS - 1).astype(np.int64))
 
 
-def surest_of_parts(part: IntArray, sigma_px: FloatArray, most: int) -> IntArray:
+def pick_surest_in_parts(part: IntArray, sigma_px: FloatArray, most: int) -> IntArray:
     """Return rows of at most so many sightings, in their order: the surest of each part (n,), then the next ones."""
     order = np.lexsort((sigma_px, part))
     first = np.searchsorted(part[order], part[order])
@@ -322,7 +322,7 @@ def surest_of_parts(part: IntArray, sigma_px: FloatArray, most: int) -> IntArray
     return np.sort(order[np.lexsort((sigma_px[order], rank))[:most]])
 
 
-def surest_of_epochs(
+def pick_surest_in_epochs(
     pixels: FloatArray, sigma_px: FloatArray, epoch: IntArray, image_size: tuple[int, int]
 ) -> IntArray:
     """Return rows of the stars that a fit uses, in their order: those of the latest epoch first, then of the others.
@@ -338,5 +338,5 @@ def surest_of_epochs(
     for one in np.unique(epoch)[::-1]:
         rows = np.flatnonzero(epoch == one)
         part = image_parts(pixels[rows], image_size)
-        chosen = np.concatenate([chosen, rows[surest_of_parts(part, sigma_px[rows], MOST_STARS - chosen.size)]])
+        chosen = np.concatenate([chosen, rows[pick_surest_in_parts(part, sigma_px[rows], MOST_STARS - chosen.size)]])
     return np.sort(chosen)

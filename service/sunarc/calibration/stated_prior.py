@@ -10,10 +10,10 @@ import numpy as np
 from annotated_types import Gt, Le
 
 from sunarc.calibration import pose
-from sunarc.calibration.answers.error_model import error_model_of
+from sunarc.calibration.answers.error_model import build_error_model
 from sunarc.calibration.fit.assemble import Job, calibration_from_fit, refused, unseen_field
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, LensTolerances
-from sunarc.calibration.model.result import Calibration, refused_for, with_options
+from sunarc.calibration.model.result import Calibration, refused_for, state_options
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.solve.priors import FREE, LENS, N_LENS, lens_prior, precisions
 from sunarc.common.array_types import FloatArray
@@ -84,20 +84,20 @@ def calibrate_with_prior(
     # its pose is free of error: `fit_pose` adds what is not known of it
     field = unseen_field(prior, size=FREE.size)
     start = pose.stated_calibration(job, prior, covariance=basis @ basis.T, field=field)
-    sightings = pose.with_noise(usable, points, start)
+    sightings = pose.assign_noise(usable, points, start)
     turned_rad = None if tolerances.pose_deg is None else math.radians(tolerances.pose_deg)
     distance = _distance(start, sightings, turned_rad)
     if distance > _LARGEST_DEPARTURE:
-        return refused(job, (_contradicted(distance),))
+        return refused(job, (_contradiction_finding(distance),))
     fit = pose.fit_pose(start, sightings, turned_rad=turned_rad)
-    fitted = pose.outcome_of(fit, start, usable, wander_rad=0.0)
+    fitted = pose.make_outcome(fit, start, usable, wander_rad=0.0)
     result = calibration_from_fit(fitted, job)
-    result = with_options(result, prior=asdict(tolerances))
+    result = state_options(result, prior=asdict(tolerances))
     departure = _departure(prior, basis, turned_rad, fit.camera, fit.error_model.covariance)
-    return result if departure <= _LARGEST_DEPARTURE else refused_for(result, _contradicted(departure))
+    return result if departure <= _LARGEST_DEPARTURE else refused_for(result, _contradiction_finding(departure))
 
 
-def _contradicted(departure: float) -> Finding:
+def _contradiction_finding(departure: float) -> Finding:
     return Finding("prior_contradicted", {"departure": departure, "limit": _LARGEST_DEPARTURE})
 
 
@@ -123,8 +123,8 @@ def _distance(start: Calibration, sightings: Sightings, turned_rad: float | None
     """
     if turned_rad is None:
         return 0.0
-    model, camera, some = error_model_of(start), start.camera.at_every_angle(), sightings.thinned(pose.MOST)
-    tolerance = pose.tolerance_px(model.with_free_rotation(np.zeros(3), sigma_rad=turned_rad), camera, some)
+    model, camera, some = build_error_model(start), start.camera.at_every_angle(), sightings.thinned(pose.MOST)
+    tolerance = pose.tolerance_px(model.add_free_rotation(np.zeros(3), sigma_rad=turned_rad), camera, some)
     off = np.linalg.norm(finite(some.pixels - project_fast(camera, some.directions)), axis=-1)
     return float(np.median(off / tolerance)) / math.sqrt(2.0)
 

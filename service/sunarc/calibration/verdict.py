@@ -15,7 +15,7 @@ from sunarc.calibration import acceptance
 from sunarc.calibration.acceptance import Succession
 from sunarc.calibration.answers.covariance import sky_share_within, without_clock
 from sunarc.calibration.model.options import CalibrationOptions
-from sunarc.calibration.model.result import TURN_ASKED, Calibration, Verdict, proof_of, refused_for, with_finding
+from sunarc.calibration.model.result import TURN_ASKED, Calibration, Verdict, add_finding, proof_threshold, refused_for
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.quality import fit_checks as of
 from sunarc.calibration.quality import widening
@@ -102,7 +102,10 @@ UNCERTAIN = (
 )
 UNEXPLAINED = (
     FitCheck(
-        "epoch_does_not_explain_its_days", of.left_out_of_days, Bound("share", "max_unexplained", "limit"), "refuse"
+        "epoch_does_not_explain_its_days",
+        of.measure_left_out_share,
+        Bound("share", "max_unexplained", "limit"),
+        "refuse",
     ),
     # smoke, a ladder on the mast; of ten days no half-day may be far off
     FitCheck("half_days_deviate", of.far_half_days, Bound("n_far", 0.05, per="n_half_days"), "refuse"),
@@ -115,7 +118,7 @@ AGAINST = (
     FitCheck("too_many_rejected", of.rejected, Bound("share", "max_rejected", "limit"), "refuse"),
     FitCheck("held_out_contradicts", of.held_out, Bound("excess", of.largest_excess, "limit"), "refuse"),
     # three numbers reach this chi-square once in 6,000
-    FitCheck("camera_turned", of.turn_of_a_part, Bound("chi_square", 20.0, "limit"), "say"),
+    FitCheck("camera_turned", of.measure_part_turn, Bound("chi_square", 20.0, "limit"), "say"),
     *UNEXPLAINED,
     *UNCERTAIN,
     FitCheck("tilt_too_large", of.tilt, Bound("tilt_deg", "level_within_deg", "limit_deg"), "refuse"),
@@ -133,20 +136,20 @@ FOUND = (
 )
 """Findings of an accepted fit; those of the sightings that were left out follow."""
 NOTED = (
-    FitCheck("sigma_of_parts", of.factor_of_parts, Bound("factor", 1.0), "widen"),
+    FitCheck("sigma_of_parts", of.measure_part_factor, Bound("factor", 1.0), "widen"),
     FitCheck("static_positions", of.static_positions),
     FitCheck("provisional", lambda judged: {} if judged.free == "pose" else None),
     FitCheck("mirrored", lambda judged: {} if judged.tried_mirrored is True else None),
     FitCheck("not_mirrored", lambda judged: {} if judged.tried_mirrored is False else None),
     FitCheck("image_size_doubtful", of.off_center),
-    FitCheck("pixels_not_square", of.aspect, Bound("log_odds", proof_of("pixels")), "say"),
-    FitCheck("clock_drifts", of.drift_of_clock, Bound("log_odds", proof_of("daily_clock")), "say"),
-    FitCheck("detections_biased", of.bias_outwards, Bound("log_odds", proof_of("outwards")), "say"),
-    FitCheck("focal_length_changes", of.change_of_focal_length),
+    FitCheck("pixels_not_square", of.aspect, Bound("log_odds", proof_threshold("pixels")), "say"),
+    FitCheck("clock_drifts", of.measure_clock_drift, Bound("log_odds", proof_threshold("daily_clock")), "say"),
+    FitCheck("detections_biased", of.bias_outwards, Bound("log_odds", proof_threshold("outwards")), "say"),
+    FitCheck("focal_length_changes", of.measure_focal_change),
     FitCheck("picture_changed", of.picture),
-    FitCheck("mount_turns", of.turn_by_hour, Bound("log_odds", proof_of("turning")), "widen"),
+    FitCheck("mount_turns", of.turn_by_hour, Bound("log_odds", proof_threshold("turning")), "widen"),
     FitCheck("mount_may_turn", of.possible_turn, Bound("log_odds", TURN_ASKED), "say"),
-    FitCheck("mount_sways", of.sway, Bound("log_odds", proof_of("sways")), "widen"),
+    FitCheck("mount_sways", of.sway, Bound("log_odds", proof_threshold("sways")), "widen"),
     FitCheck("pixels_on_grid", of.grid, Bound("step_px", 0.0)),
     *SITE_ASSUMED,
 )
@@ -249,7 +252,7 @@ def fit_verdict(
     return Verdict(accepted=True, findings=found)
 
 
-def with_clock(
+def add_stated_clock(
     calibration: Calibration, clock_error_s: float | None, *, assumed: bool = False, step_s: float = 0.0
 ) -> Calibration:
     """Return a calibration whose uncertainty holds an error of the clock that is stated for all of its sightings.
@@ -265,14 +268,14 @@ def with_clock(
     step_s : see `time_step_s`; 0 of times on no grid.
     """
     if clock_error_s is not None:
-        return widening.with_clock_error(calibration, clock_error_s)
+        return widening.add_clock_error(calibration, clock_error_s)
     if step_s > 0.0:
-        calibration = widening.with_clock_error(calibration, 0.5 * step_s)
+        calibration = widening.add_clock_error(calibration, 0.5 * step_s)
     elif calibration.evidence.clock_stated and not assumed:
         return calibration
     unstated = replace(calibration, evidence=replace(calibration.evidence, clock_stated=False))
     said = findings(CLOCK, widening.UnboundedClock(unstated, step_s)) if calibration.verdict.accepted else ()
-    return reduce(with_finding, said, unstated)
+    return reduce(add_finding, said, unstated)
 
 
 _DISTANCES = frozenset({"rmse_px", "stated_px", "off_px", "scatter_px"})
@@ -343,5 +346,5 @@ def accept(
         return Verdict(accepted=False, marginal=kept, findings=tuple(finding for _, finding in against))
     if current is None:
         return Verdict(accepted=True, findings=(Finding("first_calibration"), *candidate.verdict.findings))
-    compared = Finding("direction_sigma_compared", acceptance.sigmas_of(candidate, current))
+    compared = Finding("direction_sigma_compared", acceptance.stated_sigmas(candidate, current))
     return Verdict(accepted=True, findings=(compared,))

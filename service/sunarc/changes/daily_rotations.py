@@ -18,7 +18,7 @@ import numpy as np
 
 from sunarc.calibration.answers.error_model import (
     CameraErrorModel,
-    error_model_of,
+    build_error_model,
     joint_covariance,
     predicted,
 )
@@ -26,7 +26,7 @@ from sunarc.calibration.evidence import DAYS, whitened
 from sunarc.calibration.model.pose_change import PoseChange, progress
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
-from sunarc.calibration.pose import fit_pose, gathered, inflation_of, with_noise
+from sunarc.calibration.pose import assign_noise, fit_pose, gathered, variance_inflation
 from sunarc.common.array_types import BoolArray, FloatArray, IntArray, picked
 from sunarc.common.robust_statistics import MAD_TO_SIGMA, biweights, finite
 from sunarc.optics.camera import Camera
@@ -60,7 +60,7 @@ class DailyRotations:
     covariance_deg2: FloatArray
 
     @classmethod
-    def of_no_day(cls) -> DailyRotations:
+    def empty(cls) -> DailyRotations:
         """Return the rotations of no day."""
         return cls(day=np.zeros(0), rotation_deg=np.zeros((0, 3)), covariance_deg2=np.zeros((0, 3, 3)))
 
@@ -289,13 +289,13 @@ def daily_pose_offset(points: Sightings, *, calibration: Calibration, site: Site
     usable = filter_sightings(points, site=site)
     if len(usable) < FEWEST:
         return None
-    sightings = with_noise(usable, points, calibration)
+    sightings = assign_noise(usable, points, calibration)
     inlier = fit_pose(calibration, sightings).inlier
     if inlier.sum() < FEWEST:
         return None
     camera = calibration.camera.at_every_angle()
-    together = gathered(camera, sightings, inlier, inflation=inflation_of(calibration))
-    rotation, covariance = _gls_rotation(error_model_of(calibration), camera, together)
+    together = gathered(camera, sightings, inlier, inflation=variance_inflation(calibration))
+    rotation, covariance = _gls_rotation(build_error_model(calibration), camera, together)
     to_enu = -rotation_matrix(camera.rotation_cam_enu).T  # a camera that turns one way sees the sky turn the other
     day = solar_days(usable.unix_s[:1], longitude=site.longitude).astype(np.float64)
     rotation_deg = np.degrees(to_enu @ rotation)[None]

@@ -83,7 +83,7 @@ def drift_finding(drift: PoseChange) -> Finding | None:
     return None if drift.gain < _DRIFT_GAIN or max(spread_deg(drift)) < EPOCHS.least_deg else drift.finding
 
 
-def noise_of_days(points: Sightings, site: Site) -> FloatArray:
+def estimate_daily_noise(points: Sightings, site: Site) -> FloatArray:
     """Return (n,): 1-sigma per axis of each sighting by its own day, that of one off its day's arc being larger.
 
     Parameters
@@ -107,12 +107,12 @@ def noise_of_days(points: Sightings, site: Site) -> FloatArray:
             sigma = max(sigma, _noise_beside_neighbours(points.pixels[rows], np.unwrap(angle)))
         found[rows] = sigma * np.maximum(distance / sigma / _GROSS_SIGMAS, 1.0) ** 2
     if not np.any(np.isfinite(found)):
-        found = _noise_of_few(points, day, site)
+        found = _estimate_noise_together(points, day, site)
     usual = float(np.nanmedian(found)) if np.any(np.isfinite(found)) else _UNKNOWN_NOISE_PX
     return np.where(np.isfinite(found), found, usual)
 
 
-def _noise_of_few(points: Sightings, day: IntArray, site: Site) -> FloatArray:
+def _estimate_noise_together(points: Sightings, day: IntArray, site: Site) -> FloatArray:
     """Return the noise (n,) by some days of few sightings each; NaN where too few days follow each other."""
     found, every, group = np.full(len(points), np.nan), np.unique(day), np.zeros(0, dtype=np.int64)
     for one in every.tolist():
@@ -180,7 +180,7 @@ def change_within(points: Sightings, camera: Camera, site: Site, noise_px: Float
     ----------
     points : of the sun, in the order of time, at the times of the camera's clock.
     camera, site : see there.
-    noise_px : (n,) see `noise_of_days`.
+    noise_px : (n,) see `estimate_daily_noise`.
     """
     linear, index = _seen(points, camera, site, noise_px)
     if linear is None:
@@ -206,7 +206,7 @@ def change_within(points: Sightings, camera: Camera, site: Site, noise_px: Float
     )
 
 
-def is_of_lens(sides: Sequence[tuple[Sightings, Camera, FloatArray]], site: Site) -> bool | None:
+def is_lens_change(sides: Sequence[tuple[Sightings, Camera, FloatArray]], site: Site) -> bool | None:
     """Return whether a change between two poses of one lens is likelier one of the lens, too; None where unclear.
 
     Parameters
@@ -232,7 +232,7 @@ def _seen(points: Sightings, camera: Camera, site: Site, noise_px: FloatArray) -
         return None, index
     some = points.select(index)
     residual = some.pixels - predicted[index]
-    return _linear(some, camera, residual, _with_gross(residual, noise_px[index]), site=site), index
+    return _linear(some, camera, residual, _raise_gross_noise(residual, noise_px[index]), site=site), index
 
 
 def drift_within(
@@ -252,11 +252,11 @@ def drift_within(
     ----------
     points : of the sun, in the order of time, at the times of the camera's clock.
     camera, site : see there.
-    noise_px : (n,) see `noise_of_days`.
+    noise_px : (n,) see `estimate_daily_noise`.
     changes : the first sighting after each change that was found among them, and its cause.
     """
     linear, index = _seen(points, camera, site, noise_px)
-    if linear is None or not _are_of(camera, points, site, [row for row, _ in changes]):
+    if linear is None or not _are_near_predictions(camera, points, site, [row for row, _ in changes]):
         return None
     times = points.unix_s[index]
     half_s = 0.5 * float(times[-1] - times[0])
@@ -296,7 +296,7 @@ def drift_within(
     )
 
 
-def _are_of(camera: Camera, points: Sightings, site: Site, begins: Sequence[int]) -> bool:
+def _are_near_predictions(camera: Camera, points: Sightings, site: Site, begins: Sequence[int]) -> bool:
     """Return whether sightings between changes all lie near a camera's predictions: so they are linear in turns."""
     off = np.linalg.norm(points.pixels - project_fast(camera, sun_directions(points.unix_s, site)), axis=-1)
     # what the camera does not see is far from all that it does
@@ -309,7 +309,7 @@ def _drifting(turns: FloatArray, along: FloatArray) -> FloatArray:
     return np.concatenate([turns * along, 0.5 * turns * (along**2 - 1.0 / 3.0)], axis=-1)
 
 
-def _with_gross(residual: FloatArray, noise_px: FloatArray) -> FloatArray:
+def _raise_gross_noise(residual: FloatArray, noise_px: FloatArray) -> FloatArray:
     """Return the noise (n,), larger where a residual (n, 2) lies far from those of its neighbours."""
     beside = off_neighbours(residual) / noise_px
     return np.asarray(noise_px * np.maximum(beside / (2.0 * _GROSS_SIGMAS), 1.0) ** 2)
@@ -341,7 +341,7 @@ def agreeing_days(residual: FloatArray, noise_px: FloatArray, unix_s: FloatArray
     Parameters
     ----------
     residual : (n, 2) of the sightings about the camera, px.
-    noise_px : (n,) see `noise_of_days`.
+    noise_px : (n,) see `estimate_daily_noise`.
     unix_s : (n,) their times, in order.
     site : where the camera stands.
     """

@@ -32,7 +32,7 @@ _NOT_WEIGHED = 0.05
 that all cameras have wrong alike; by docs/studies/cross_checks.py."""
 
 
-def rotation_of_site(before: Site, after: Site) -> FloatArray:
+def site_rotation(before: Site, after: Site) -> FloatArray:
     """Return the rotation (3,), degrees about east, north and up, by which a new statement of the site turns a camera.
 
     For differences of a few degrees and less.
@@ -57,8 +57,8 @@ def explain_step(step: PoseChange, *, before: Site, after: Site) -> tuple[PoseCh
     weighed = [one for change in changes for one in _explanations(change, before, after)]
     best = most_probable(weighed).explanation
     of_cause = [one.log_evidence - one.rarer for one in weighed if one.explanation.cause == best.cause]
-    of_others = [one.log_evidence - one.rarer for one in weighed if one.explanation.cause != best.cause]
-    against = np.logaddexp.reduce([*of_others, DAYS.gain]) - np.logaddexp.reduce(of_cause)
+    part_from_others = [one.log_evidence - one.rarer for one in weighed if one.explanation.cause != best.cause]
+    against = np.logaddexp.reduce([*part_from_others, DAYS.gain]) - np.logaddexp.reduce(of_cause)
     return best, (1.0 - _NOT_WEIGHED) * float(np.exp(-np.logaddexp(0.0, against)))
 
 
@@ -101,7 +101,7 @@ def _explanations(change: PoseChange, before: Site, after: Site) -> list[Weighed
         found.append(weighed("clock_or_north", max(clock, north)))
     else:
         found += [weighed("clock", clock), weighed("north", north)]
-    restated = rotation_of_site(before, after)
+    restated = site_rotation(before, after)
     if np.any(restated):
         named: Cause = "longitude" if before.latitude == after.latitude else "site"
         found.append(weighed(named, evidence(np.zeros((3, 1)), size - restated)))

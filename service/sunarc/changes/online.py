@@ -17,7 +17,7 @@ import numpy as np
 from sunarc.calibration.answers.error_model import (
     CameraErrorModel,
     Predicted,
-    error_model_of,
+    build_error_model,
     joint_covariance,
     predicted,
     rotated,
@@ -92,13 +92,13 @@ class ResidualModel:
     air: FloatArray
 
 
-def window_of(watch: SightingWindow, calibration: Calibration, options: WatchOptions) -> ResidualModel:
+def make_residual_model(watch: SightingWindow, calibration: Calibration, options: WatchOptions) -> ResidualModel:
     """Return the residual model of sightings about a calibration."""
-    error_model, camera = error_model_of(calibration), calibration.camera.at_every_angle()
+    error_model, camera = build_error_model(calibration), calibration.camera.at_every_angle()
     at = predicted(error_model, camera, watch.directions)
     residual = finite(watch.pixels - at.pixels)
     wander = wandering(watch.unix_s, options)
-    air = _of_air(camera, watch.directions, calibration.site)
+    air = _air_covariance(camera, watch.directions, calibration.site)
     sightings = PixelResiduals(
         residual=residual,
         variance=noise_px(calibration, watch.sigma_px) ** 2,
@@ -109,7 +109,7 @@ def window_of(watch: SightingWindow, calibration: Calibration, options: WatchOpt
         camera=camera,
         error_model=error_model,
         at=at,
-        covariance=joint_covariance(error_model, at) + _of_turns(error_model, at, wander) + air,
+        covariance=joint_covariance(error_model, at) + _turn_covariance(error_model, at, wander) + air,
         sightings=sightings,
         wander=wander,
         air=air,
@@ -118,7 +118,9 @@ def window_of(watch: SightingWindow, calibration: Calibration, options: WatchOpt
 
 def errors_at(window: ResidualModel, at: Predicted) -> FloatArray:
     """Return (2n, 2n): the covariance of the calibration's errors where another camera sees the sun."""
-    return joint_covariance(window.error_model, at) + _of_turns(window.error_model, at, window.wander) + window.air
+    return (
+        joint_covariance(window.error_model, at) + _turn_covariance(window.error_model, at, window.wander) + window.air
+    )
 
 
 def wandering(unix_s: FloatArray, options: WatchOptions) -> FloatArray:
@@ -126,7 +128,7 @@ def wandering(unix_s: FloatArray, options: WatchOptions) -> FloatArray:
     return math.radians(options.wander_deg) ** 2 * matern_3_2(unix_s[:, None] - unix_s, _WANDER_S)
 
 
-def _of_air(camera: Camera, directions: FloatArray, site: Site) -> FloatArray:
+def _air_covariance(camera: Camera, directions: FloatArray, site: Site) -> FloatArray:
     """Return (2n, 2n): the covariance of the sun's places from air that is not the assumed one, alike for all, px²."""
     _, by_parameters = project_with_rows_fast(camera, directions)
     up = np.nan_to_num(by_elevation(directions, by_direction(camera, by_parameters)))
@@ -134,7 +136,7 @@ def _of_air(camera: Camera, directions: FloatArray, site: Site) -> FloatArray:
     return np.outer(shift, shift)
 
 
-def _of_turns(error_model: CameraErrorModel, at: Predicted, wander: FloatArray) -> FloatArray:
+def _turn_covariance(error_model: CameraErrorModel, at: Predicted, wander: FloatArray) -> FloatArray:
     flat = at.rows[..., error_model.rotation].reshape(-1, 3)
     return (flat @ flat.T) * np.kron(wander, np.ones((2, 2)))
 
@@ -409,7 +411,7 @@ def drift_evidence(window: ResidualModel, first: int) -> float:
     untrusted = np.flatnonzero(~window.watch.trusted)
     begins = {max(first - back, 0) for back in _ONSETS_BACK}
     # the episode need not begin with the change: the change may count sightings before it as false
-    begins |= begins_of_runs(untrusted) | begins_of_runs(untrusted[untrusted <= first])
+    begins |= find_run_starts(untrusted) | find_run_starts(untrusted[untrusted <= first])
     drifts = tuple(_drifts(begins))
     reached = [
         log_evidence(drift_covariance(window, drift), window.sightings, inliers_from(window, drift.begin))
@@ -436,7 +438,7 @@ def inliers_from(window: ResidualModel, begin: int) -> BoolArray:
     return np.asarray(window.watch.trusted | (np.arange(len(window.watch)) >= begin))
 
 
-def begins_of_runs(rows: IntArray) -> set[int]:
+def find_run_starts(rows: IntArray) -> set[int]:
     """Return where the last and the longest run of rows begin; a single row between does not end a run."""
     runs = [run for run in np.split(rows, np.flatnonzero(np.diff(rows) > 2) + 1) if run.size]
     longest = max(map(len, runs), default=0)
@@ -504,20 +506,20 @@ def describe_change(
     )
 
 
-def finding_of(change: PoseChange) -> Finding:
+def change_finding(change: PoseChange) -> Finding:
     """Return the finding of a change, which each that is found online has."""
     if change.finding is None:
         raise ValueError(f"a change by {change.cause} has no finding")
     return change.finding
 
 
-def details_of(change: PoseChange) -> dict[str, Any]:
+def change_details(change: PoseChange) -> dict[str, Any]:
     """Return the stored details of a change: its numbers and names, the sentence and the remedy.
 
     `size` is in degrees of a turn, seconds of a clock, px of a shifted sensor, % of the focal length; 0 where that has
     no meaning.
     """
-    finding = finding_of(change)
+    finding = change_finding(change)
     return {
         "kind": change.cause,
         "at_unix_s": change.time,
@@ -614,10 +616,12 @@ def update_window(
     posed_from_few : whether the calibration was posed from these very sightings: then its lens is in question too.
     """
     before = watch.last(REMEMBERED - 1)
-    window = window_of(before.with_one(sighting, trusted=True, surprise=np.zeros(2)), calibration, options)
+    window = make_residual_model(
+        before.append_sighting(sighting, trusted=True, surprise=np.zeros(2)), calibration, options
+    )
     surprise = _surprise(window)
     trusted = bool(surprise @ surprise < _TRUSTED_SQUARE)
-    grown = before.with_one(sighting, trusted=trusted, surprise=surprise if trusted else np.zeros(2))
+    grown = before.append_sighting(sighting, trusted=trusted, surprise=surprise if trusted else np.zeros(2))
     one_sided = biased(grown)
     if not (one_sided or distrusted(grown)):
         return grown, None

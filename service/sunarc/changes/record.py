@@ -20,7 +20,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from sunarc.calibration.calibrate import FitInput, calibrate, calibrated, prepared
 from sunarc.calibration.evidence import DAYS, RECORD
-from sunarc.calibration.lens_library.conditioning import with_lens
+from sunarc.calibration.lens_library.conditioning import apply_lens_prior
 from sunarc.calibration.lens_library.first_pose import first_pose
 from sunarc.calibration.lens_library.lens_type import LensType
 from sunarc.calibration.model.options import USUAL_OPTIONS, CalibrationOptions, FirstPoseOptions, ImageCircle
@@ -94,7 +94,7 @@ def calibrate_moved(points: Sightings, **given: Unpack[FitInput]) -> Moved:
     for _ in range(_MOST):
         if "picture_scale" in found.evidence.log_odds:
             break  # sightings of another picture jump, and are explained
-        better = _with_one_more(points, usable, found, fit)
+        better = _add_one_move(points, usable, found, fit)
         if better is None:
             break
         begin = found.camera
@@ -103,10 +103,10 @@ def calibrate_moved(points: Sightings, **given: Unpack[FitInput]) -> Moved:
         usable = replace(usable, epoch=points.epoch[usable.index])
     if begin is not None:
         found = judged(points, start=begin)
-    return Moved(_with_moves(lens.allowed_for(found), usable, gains), points)
+    return Moved(_record_moves(lens.allowed_for(found), usable, gains), points)
 
 
-def _with_one_more(
+def _add_one_move(
     points: Sightings, usable: Sightings, solved: Calibration, fit: _Fit
 ) -> tuple[Moved, int, float] | None:
     """Return the fit with one move more, its row and its gain; None where none makes it clearly better."""
@@ -261,7 +261,7 @@ def same_hours_difference(residual: FloatArray, usable: Sightings, early: IntArr
     return float(np.sqrt(np.mean(np.sum(np.square(medians), axis=-1))))
 
 
-def _with_moves(solved: Calibration, usable: Sightings, gains: Mapping[float, float]) -> Calibration:
+def _record_moves(solved: Calibration, usable: Sightings, gains: Mapping[float, float]) -> Calibration:
     """Return the calibration with its moves, of known gains by their time, in its evidence and in words."""
     moves, found, stepped = list[PoseChange](), list[Finding](), list[Finding]()
     pole = pole_enu(solved.site)
@@ -371,7 +371,7 @@ class StepSearch(NamedTuple):
         of_days = [
             daily_pose_offset(thin.select(day == one), calibration=lens, site=self.site) for one in np.unique(day)
         ]
-        days = stacked([DailyRotations.of_no_day(), *(one for one in of_days if one is not None)])
+        days = stacked([DailyRotations.empty(), *(one for one in of_days if one is not None)])
         return replace(days, covariance_deg2=days.covariance_deg2 * np.eye(3))
 
     def _verified(self, points: Sightings, some: Sightings) -> list[PoseChange]:
@@ -450,7 +450,7 @@ def calibrate_with_lens(
     moved_ = calibrate_moved(points, site=site, image_size=size, options=options, circle=circle)
     solved, points = moved_.calibration, moved_.points
     if solved.verdict.accepted:
-        return Moved(with_lens(solved, lens, points=points, options=options), points)
+        return Moved(apply_lens_prior(solved, lens, points=points, options=options), points)
     latest = points.select(np.flatnonzero(points.epoch == points.epoch.max(initial=0)))
     return Moved(first_pose(latest, lens=lens, site=site, options=options, pose=_usual_pose(options)), latest)
 

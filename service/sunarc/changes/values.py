@@ -113,7 +113,7 @@ class SightingWindow(Sightings):
         """Return the last ones."""
         return self.select(np.arange(len(self)) >= len(self) - count)
 
-    def with_one(self, sighting: Sighting, *, trusted: bool, surprise: FloatArray) -> SightingWindow:
+    def append_sighting(self, sighting: Sighting, *, trusted: bool, surprise: FloatArray) -> SightingWindow:
         """Return this with one more sighting."""
         one = SightingWindow(
             unix_s=np.array([sighting.unix_s]),

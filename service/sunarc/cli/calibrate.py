@@ -22,14 +22,14 @@ from sunarc.cli.options import (
     MirroredOption,
     OutwardsPx,
     ProjectionOption,
-    angles_of,
+    parse_angles,
     parse_image_size,
     print_json,
     print_rows,
     service_settings,
     stated_once,
 )
-from sunarc.cli.owner import act_as_owner_of
+from sunarc.cli.owner import act_as_folder_owner
 from sunarc.common.errors import InputError, disk_errors
 from sunarc.common.extras import require_extra
 from sunarc.common.json_text import json_text
@@ -41,10 +41,10 @@ from sunarc.public.calibrate_files import (
     calibrate_file,
     calibrate_joint,
     combined_lens,
-    image_circle_of,
+    parse_image_circle,
     write_lens_prior,
 )
-from sunarc.public.summary import calibration_text, verdict_of
+from sunarc.public.summary import calibration_text, summarize_verdict
 from sunarc.sky.site import Site
 from sunarc.sources.files import read_file
 
@@ -61,7 +61,7 @@ WriteLensPrior = Annotated[
     Path | None,
     typer.Option(
         "--write-lens-prior",
-        callback=act_as_owner_of,
+        callback=act_as_folder_owner,
         help="Write what this calibration, and those of --lens-of, say of the type of lens.",
         rich_help_panel=_PANEL,
     ),
@@ -90,7 +90,7 @@ Output = Annotated[
     typer.Option(
         "--output",
         "-o",
-        callback=act_as_owner_of,
+        callback=act_as_folder_owner,
         help="Write the calibration here, unless it is refused: a document (JSON); of --joint the folder of all.",
     ),
 ]
@@ -230,7 +230,7 @@ def calibrate(
         ),
     ] = False,
     plots: Annotated[
-        Path | None, typer.Option(callback=act_as_owner_of, help="Folder for residuals.png and sky.png.")
+        Path | None, typer.Option(callback=act_as_folder_owner, help="Folder for residuals.png and sky.png.")
     ] = None,
     again: Annotated[
         str | None, typer.Option("--again", metavar="ID", help="Solve a past calibration of the archive again.")
@@ -270,9 +270,9 @@ def calibrate(
     if pose_only and start is None:
         raise InputError(field="--pose-only", problem="no lens to keep", remedy="name a calibration with --start")
     document = calibrate_file(
-        _given(points, "POINTS"),
-        site=_site(config, *angles_of(latitude, longitude), altitude, pressure, temperature),
-        image_size=parse_image_size(_given(image_size, "--image-size")),
+        _require_given(points, "POINTS"),
+        site=_site(config, *parse_angles(latitude, longitude), altitude, pressure, temperature),
+        image_size=parse_image_size(_require_given(image_size, "--image-size")),
         options=CalibrationOptions(
             method=method,  # type: ignore[arg-type]
             projection=stated_once("--projection", projection, (*PROJECTIONS, "auto")) or "auto",
@@ -281,7 +281,7 @@ def calibrate(
             outwards_px=USUAL_OPTIONS.outwards_px if outwards_px is None else outwards_px,
         ),
         now=SystemClock().now(),
-        circle=None if image_circle is None else image_circle_of(image_circle),
+        circle=None if image_circle is None else parse_image_circle(image_circle),
         start=start,
         pose_only=pose_only,
         within=_prior_tolerances(lens_within, pose_within, focal_within, usable=start is not None and not pose_only),
@@ -291,7 +291,7 @@ def calibrate(
         clock_error_s=clock_error,
     )
     to_write.write([document])
-    written = output if verdict_of(document) in _KEPT else None
+    written = output if summarize_verdict(document) in _KEPT else None
     if written is not None:
         with disk_errors(written):
             written.write_text(json_text(document), encoding="utf-8")
@@ -309,7 +309,7 @@ def _site(config: Path | None, *stated: float | None) -> Site:
         known: Site = service_settings(config).place
         return replace(known, **given)
     for name in ("latitude", "longitude"):
-        _given(given.get(name), f"--{name}")
+        _require_given(given.get(name), f"--{name}")
     return Site(**{"altitude": 0.0, **given})
 
 
@@ -323,7 +323,7 @@ def _print_result(document: dict[str, Any], plots: Path | None, written: Path | 
             print(f"drawn: {plots / 'residuals.png'}, {plots / 'sky.png'}")
         if written is not None:
             print(f"written: {written}")
-    if verdict_of(document) not in _KEPT:
+    if summarize_verdict(document) not in _KEPT:
         raise typer.Exit(1)
 
 
@@ -382,8 +382,8 @@ def calibrate_stored(
         print(f"no calibration: {refit.message}")
     else:
         print(calibration_text(document))
-        print(f"{verdict_of(document)}: stored as {document['id']}")
-    if refit.state != "accepted" and (document is None or verdict_of(document) not in _KEPT):
+        print(f"{summarize_verdict(document)}: stored as {document['id']}")
+    if refit.state != "accepted" and (document is None or summarize_verdict(document) not in _KEPT):
         raise typer.Exit(1)
 
 
@@ -402,7 +402,7 @@ def _solve_again(calibration_id: str, config: Path | None, *, as_json: bool) -> 
         raise typer.Exit(1)
 
 
-def _given(value: Value | None, name: str) -> Value:
+def _require_given(value: Value | None, name: str) -> Value:
     if value is None:
         raise InputError(field=name, problem="missing", remedy="give it, see `sunarc calibrate --help`")
     return value

@@ -21,7 +21,7 @@ from sunarc.imager.archive.database.connections import server_url
 from sunarc.imager.archive.database.recovery import upgrade_present
 from sunarc.imager.archive.database.schema import check, downgrade, require_file, upgrade_server
 from sunarc.imager.archive.database.state_folder import lock_holder, lock_state
-from sunarc.imager.commands.archive_tables import database_of, export_everything, write_points
+from sunarc.imager.commands.archive_tables import database_path, export_everything, write_points
 from sunarc.imager.commands.archive_tables import import_points as read_points
 from sunarc.imager.runtime.clock import SystemClock
 
@@ -84,7 +84,7 @@ def upgrade(state: OptionalState = None, store: Store = None) -> None:
         print("the database was upgraded" if upgrade_server(place) else "the database is up to date")
         return
     state = place
-    path = database_of(state)
+    path = database_path(state)
     existed = path.exists()
     with _locked(state):
         copy = upgrade_present(path)
@@ -101,7 +101,7 @@ def check_database(state: OptionalState = None, store: Store = None, *, as_json:
     Example: sunarc db check --state /var/lib/sunarc
     """
     place = _place(state, store)
-    result = check(place if isinstance(place, URL) else database_of(place))
+    result = check(place if isinstance(place, URL) else database_path(place))
     found = {
         "sound": result.sound,
         "revision": result.revision,
@@ -163,7 +163,7 @@ def restore_database(
         raise InputError(
             field="--latest", problem=f"no sound copy is in {state / 'backups'}", remedy="name a copy of the database"
         )
-    path = database_of(state)
+    path = database_path(state)
     with _locked(state):
         former = restore(path, copy, now=SystemClock().now())
     print(f"{path} is what {copy} was" + ("" if former is None else f"; the former one is kept as {former.name}"))
@@ -192,8 +192,8 @@ def _place(state: Path | None, store: str | None) -> Path | URL:
 
 def _existing(state: Path) -> Path:
     """Return the database of a state folder; an error where it is missing."""
-    require_file(database_of(state), command=f"sunarc db upgrade --state {state}")
-    return database_of(state)
+    require_file(database_path(state), command=f"sunarc db upgrade --state {state}")
+    return database_path(state)
 
 
 @contextmanager

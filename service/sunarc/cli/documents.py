@@ -11,7 +11,7 @@ import typer
 from rich.console import Console
 
 from sunarc.cli.options import AcceptRefused, AsJson, CalibrationFile, print_json, table
-from sunarc.cli.owner import act_as_owner_of
+from sunarc.cli.owner import act_as_folder_owner
 from sunarc.common.errors import InputError
 from sunarc.formats.calibration_document import from_document
 from sunarc.formats.formats import FORMATS
@@ -40,7 +40,7 @@ def export_calibration(
         typer.Option(
             "--output",
             "-o",
-            callback=act_as_owner_of,
+            callback=act_as_folder_owner,
             help="File (asi-core, azimuth-zenith: folder) to write; else standard output.",
         ),
     ] = None,
@@ -91,7 +91,7 @@ def compare(
     differences: Annotated[
         Path | None,
         typer.Option(
-            "--differences", callback=act_as_owner_of, help="Write every compared direction here: .nc or .npz."
+            "--differences", callback=act_as_folder_owner, help="Write every compared direction here: .nc or .npz."
         ),
     ] = None,
     as_json: AsJson = False,
@@ -138,7 +138,7 @@ def rectify(
     images: Annotated[list[Path], typer.Argument(metavar="IMAGE…", help="Images of the camera.")],
     calibration: CalibrationFile,
     *,
-    folder: Annotated[Path, typer.Option("--output", "-o", callback=act_as_owner_of, help="Folder to write into.")],
+    folder: Annotated[Path, typer.Option("--output", "-o", callback=act_as_folder_owner, help="Folder to write into.")],
     grid: Annotated[str, typer.Option(help="sky (PNG, equidistant) or ground (GeoTIFF, under a cloud layer).")] = "sky",
     size: Annotated[int, typer.Option(help="Pixels along a side.")] = 1024,
     cloud_height: Annotated[float | None, typer.Option(help="Of the layer above the camera, m; for ground.")] = None,

@@ -19,19 +19,19 @@ from sunarc.cli.options import (
     DetectionMethod,
     LevelWithin,
     TimePatternOption,
-    choice_of,
+    parse_choice,
     print_json,
     print_sentence,
     print_table,
     progress_bars,
     service_settings,
 )
-from sunarc.cli.owner import act_as_owner_of
+from sunarc.cli.owner import act_as_folder_owner
 from sunarc.common.errors import InputError
-from sunarc.common.findings import headline_of
+from sunarc.common.findings import choose_headline
 from sunarc.common.messages import counted
 from sunarc.sources.detect_files import METHODS
-from sunarc.sources.image_times import TimeRules, utc_offset_of
+from sunarc.sources.image_times import TimeRules, parse_utc_offset
 
 _LISTED = 20
 """Images that are named with the reason why they were left out; --json lists all."""
@@ -56,7 +56,7 @@ def ingest(
     contact_sheet: Annotated[
         Path | None,
         typer.Option(
-            callback=act_as_owner_of, help="PNG with examples of each verdict; in the state folder unless given."
+            callback=act_as_folder_owner, help="PNG with examples of each verdict; in the state folder unless given."
         ),
     ] = None,
     calibrate: Annotated[
@@ -83,10 +83,10 @@ def ingest(
     if as_json and calibrate:
         raise InputError(field="--json", problem="given with --calibrate", remedy="run sunarc calibrate --json then")
     options = IngestOptions(
-        method=choice_of("--method", method, METHODS),
+        method=parse_choice("--method", method, METHODS),
         rules=TimeRules(
             time_pattern,
-            utc_offset_of(utc_offset or "0", field="--utc-offset"),
+            parse_utc_offset(utc_offset or "0", field="--utc-offset"),
             documents=True,
             is_offset_assumed=utc_offset is None,
         ),
@@ -140,6 +140,6 @@ def _print_summary(summary: IngestSummary) -> None:
         print(f"camera: {finding.sentence}")
     if summary.contact_sheet is not None:
         print(f"examples of each verdict: {summary.contact_sheet}")
-    headline = headline_of([one.finding for one in summary.skipped], used=sum(summary.by_verdict.values()))
+    headline = choose_headline([one.finding for one in summary.skipped], used=sum(summary.by_verdict.values()))
     if headline is not None:
         print_sentence(f"{counted(headline['n'], 'file')} skipped: {headline['reason']}")

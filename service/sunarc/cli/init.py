@@ -20,8 +20,8 @@ from sunarc.common.findings import Finding, FindingError
 from sunarc.common.foreign_files import name_text
 from sunarc.imager.archive.database.state_folder import as_owner
 from sunarc.imager.checks import TriedResult, try_first
-from sunarc.imager.settings.file_text import NEW_FILE, Value, read_text, value_in, with_values
-from sunarc.imager.settings.load import settings_of
+from sunarc.imager.settings.file_text import NEW_FILE, Value, read_text, replace_values, value_in
+from sunarc.imager.settings.load import parse_settings
 from sunarc.imager.settings.model import UTC, zone_exists
 from sunarc.sky.site import parse_angle
 from sunarc.sources.time_patterns import checked_pattern
@@ -162,7 +162,7 @@ def init(
         "site.latitude": latitude,
         "site.longitude": longitude,
         "site.altitude": altitude,
-        "source": source or _source_of(camera, folder, url),
+        "source": source or _choose_source(camera, folder, url),
         "camera.address": camera[0] if camera else None,
         "folder.path": None if folder is None else str(folder.absolute()),
         "http.url": url,
@@ -211,7 +211,7 @@ def _host_zone() -> str:
     return name if name and zone_exists(name) else UTC
 
 
-def _source_of(camera: list[str] | None, folder: Path | None, url: str | None) -> str | None:
+def _choose_source(camera: list[str] | None, folder: Path | None, url: str | None) -> str | None:
     """Return the source that the other options mean; None without one, or with several."""
     asked = "rtsp" if url is not None and url.lower().startswith("rtsp") else "http"
     given = {"aravis": camera, "folder": folder, asked: url}
@@ -244,7 +244,7 @@ class _Answers:
         """Set the values that are not None."""
         for setting, value in values.items():
             if value is not None and value != self.value(setting):
-                self.text = with_values(self.text, {setting: value})
+                self.text = replace_values(self.text, {setting: value})
                 self.changes[setting] = value
 
     def answer(self, question: _SettingQuestion, *, needed: bool = True) -> None:
@@ -253,9 +253,9 @@ class _Answers:
         if given is not None:
             self.set({question.setting: question.read(given)})
         elif needed and self.value(question.setting) is None:
-            self.set({question.setting: self._asked(question)})
+            self.set({question.setting: self._ask(question)})
 
-    def _asked(self, question: _SettingQuestion) -> Value | None:
+    def _ask(self, question: _SettingQuestion) -> Value | None:
         if not self.ask:
             if question.default is not None:
                 return question.read(question.default)
@@ -273,7 +273,7 @@ class _Answers:
 def _tried(answers: _Answers, file: Path, *, addresses: list[str], picture: Path) -> list[TriedResult]:
     """Return the outcome of the trials; where a picture's time needs one more answer, ask for it, and try again."""
     while True:
-        settings = settings_of(answers.text, where=str(file))
+        settings = parse_settings(answers.text, where=str(file))
         results = list(try_first(settings, addresses=addresses, picture=picture))
         codes = {code for result in results for code in result.codes}
         wanted = [question for code, question in _ASKED_BY_FAULT.items() if code in codes]

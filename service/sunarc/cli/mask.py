@@ -8,11 +8,11 @@ from typing import Annotated
 import typer
 
 from sunarc.cli.options import AcceptRefused, AsJson, CalibrationFile, print_json
-from sunarc.cli.owner import act_as_owner_of
+from sunarc.cli.owner import act_as_folder_owner
 from sunarc.public.calibration_files import answering
-from sunarc.public.mask_files import mask_of_files, write_mask
+from sunarc.public.mask_files import learn_mask_from_files, write_mask
 from sunarc.public.star_files import StarOptions
-from sunarc.sources.image_times import TimeRules, utc_offset_of
+from sunarc.sources.image_times import TimeRules, parse_utc_offset
 
 
 def mask(
@@ -21,13 +21,15 @@ def mask(
     calibration: CalibrationFile,
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", callback=act_as_owner_of, help="PNG: 255 free, 128 unknown, 64 dirt, 0 hidden."),
+        typer.Option(
+            "--output", "-o", callback=act_as_folder_owner, help="PNG: 255 free, 128 unknown, 64 dirt, 0 hidden."
+        ),
     ] = None,
     horizon: Annotated[
-        Path | None, typer.Option(callback=act_as_owner_of, help="CSV of the horizon's elevation by azimuth.")
+        Path | None, typer.Option(callback=act_as_folder_owner, help="CSV of the horizon's elevation by azimuth.")
     ] = None,
     userhorizon: Annotated[
-        Path | None, typer.Option(callback=act_as_owner_of, help="The same as PVGIS takes it for `userhorizon`.")
+        Path | None, typer.Option(callback=act_as_folder_owner, help="The same as PVGIS takes it for `userhorizon`.")
     ] = None,
     time_pattern: Annotated[str | None, typer.Option(help="strptime pattern of the names, without suffix.")] = None,
     utc_offset: Annotated[
@@ -42,9 +44,9 @@ def mask(
     Example: sunarc mask day/*.jpg --calibration calibration.json -o mask.png --horizon horizon.csv
     """
     known = answering(calibration, accept_refused=accept_refused)
-    offset = utc_offset_of(utc_offset or "0", field="--utc-offset")
+    offset = parse_utc_offset(utc_offset or "0", field="--utc-offset")
     rules = TimeRules(time_pattern, offset, documents=True, is_offset_assumed=utc_offset is None)
-    found = mask_of_files(images, known, StarOptions(rules=rules))
+    found = learn_mask_from_files(images, known, StarOptions(rules=rules))
     write_mask(found, mask=output, horizon=horizon, pvgis=userhorizon)
     said = found.as_json()
     if as_json:

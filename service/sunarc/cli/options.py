@@ -127,7 +127,7 @@ def hub_settings(config: Path | None) -> HubSettings:
     return settings
 
 
-def angles_of(latitude: str | None, longitude: str | None) -> tuple[float | None, float | None]:
+def parse_angles(latitude: str | None, longitude: str | None) -> tuple[float | None, float | None]:
     """Return latitude and longitude in degrees, None where not given; InputError where one is no such angle."""
     return (
         None if latitude is None else parse_angle(latitude, question="--latitude", axis="NS"),
@@ -144,10 +144,10 @@ def stated_once(option: str, given: Sequence[str] | None, choices: tuple[Choice,
         return None
     if len(given) > 1:
         raise InputError(field=option, problem=f"given twice: {', '.join(given)}", remedy="give it once")
-    return choice_of(option, given[0], choices)
+    return parse_choice(option, given[0], choices)
 
 
-def choice_of(option: str, text: str, choices: tuple[Choice, ...]) -> Choice:
+def parse_choice(option: str, text: str, choices: tuple[Choice, ...]) -> Choice:
     """Return the choice that an option's text names; InputError where it names none."""
     for choice in choices:
         if text == choice:

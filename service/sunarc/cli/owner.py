@@ -18,7 +18,7 @@ def act_as_owner(folder: Path | None) -> Path | None:
     return folder
 
 
-def act_as_owner_of(target: Path | None) -> Path | None:
+def act_as_folder_owner(target: Path | None) -> Path | None:
     """Act as the owner of the folder that a file or folder is written into, where root asks; return the target."""
     if target is not None:
         act_as_owner(target if target.is_dir() else target.absolute().parent)

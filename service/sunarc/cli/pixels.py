@@ -14,14 +14,14 @@ from sunarc.cli.options import (
     AsJson,
     CalibrationFile,
     DetectionMethod,
-    choice_of,
+    parse_choice,
     print_json,
     print_sentence,
     print_table,
 )
-from sunarc.cli.owner import act_as_owner_of
+from sunarc.cli.owner import act_as_folder_owner
 from sunarc.common.errors import InputError
-from sunarc.common.findings import Finding, headline_of
+from sunarc.common.findings import Finding, choose_headline
 from sunarc.common.messages import counted
 from sunarc.detection.values import BAYERS
 from sunarc.public.calibration_files import project_csv, unproject_csv
@@ -35,7 +35,7 @@ def detect(
     full_scale: Annotated[int | None, typer.Option(help="Largest count; judged from the file unless given.")] = None,
     bayer: Annotated[str | None, typer.Option(help="Colours of a raw mosaic: RGGB, BGGR, GRBG or GBRG.")] = None,
     overlay: Annotated[
-        Path | None, typer.Option(callback=act_as_owner_of, help="Write the (one) image with a cross on the sun.")
+        Path | None, typer.Option(callback=act_as_folder_owner, help="Write the (one) image with a cross on the sun.")
     ] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -45,8 +45,10 @@ def detect(
     """
     if overlay is not None and len(images) != 1:
         raise InputError(field="--overlay", problem=f"{len(images)} images", remedy="give one image with it")
-    mosaic = None if bayer is None else choice_of("--bayer", bayer, BAYERS)
-    found = detect_in_files(images, method=choice_of("--method", method, METHODS), full_scale=full_scale, bayer=mosaic)
+    mosaic = None if bayer is None else parse_choice("--bayer", bayer, BAYERS)
+    found = detect_in_files(
+        images, method=parse_choice("--method", method, METHODS), full_scale=full_scale, bayer=mosaic
+    )
     unread = [row for row in found if row["verdict"] == "no_frame"]
     if as_json:
         print_json(found)
@@ -77,7 +79,7 @@ def _print_found(found: Sequence[Mapping[str, Any]]) -> None:
         if row["verdict"] != "no_frame":
             print_sentence(f"{row['file']}: {row['reason']}")
     shown = len(found) - len(refused)
-    headline = headline_of([_why(row) for row in refused], used=shown)
+    headline = choose_headline([_why(row) for row in refused], used=shown)
     count = f"{shown} of {counted(len(found), 'image')} used"
     print_sentence(count if headline is None else f"{count}, {headline['n']} refused: {headline['reason']}")
 

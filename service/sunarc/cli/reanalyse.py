@@ -26,8 +26,8 @@ from sunarc.cli.options import (
     LongitudeIfGiven,
     MirroredOption,
     ProjectionOption,
-    angles_of,
-    choice_of,
+    parse_angles,
+    parse_choice,
     parse_image_size,
     print_json,
     print_sentence,
@@ -35,7 +35,7 @@ from sunarc.cli.options import (
     progress_bars,
     stated_once,
 )
-from sunarc.cli.owner import act_as_owner_of
+from sunarc.cli.owner import act_as_folder_owner
 from sunarc.common.errors import InputError
 from sunarc.common.foreign_files import name_text
 from sunarc.common.messages import counted, significant
@@ -44,7 +44,7 @@ from sunarc.optics.projections import PROJECTIONS
 from sunarc.public.calibration_files import read_calibration
 from sunarc.sky.site import Site
 from sunarc.sources.detect_files import METHODS
-from sunarc.sources.image_times import TimeRules, utc_offset_of
+from sunarc.sources.image_times import TimeRules, parse_utc_offset
 from sunarc.sources.index import CameraPlan, Indexed, Selector, index_archive, new_camera_name, read_cameras
 from sunarc.sources.source_dates import by_date
 from sunarc.sources.time_patterns import checked_pattern
@@ -65,7 +65,7 @@ def reanalyse_archive(
     target: Annotated[
         Path,
         typer.Option(
-            "--output", "-o", callback=act_as_owner_of, help="Folder of the results; a run goes on where it was."
+            "--output", "-o", callback=act_as_folder_owner, help="Folder of the results; a run goes on where it was."
         ),
     ],
     latitude: LatitudeIfGiven = None,
@@ -112,14 +112,14 @@ def reanalyse_archive(
     """
     common = CameraPlan(
         name="camera",
-        site=_site(*angles_of(latitude, longitude), altitude, cameras, calibration),
+        site=_site(*parse_angles(latitude, longitude), altitude, cameras, calibration),
         selector=Selector(tuple(one if "://" in one else name_text(one) for one in sources or ())),
         rules=TimeRules(
             _common_pattern(time_pattern),
-            None if utc_offset is None else utc_offset_of(utc_offset, field="--utc-offset"),
+            None if utc_offset is None else parse_utc_offset(utc_offset, field="--utc-offset"),
         ),
         image_size=None if image_size is None else parse_image_size(image_size),
-        method=choice_of("--method", method, METHODS),
+        method=parse_choice("--method", method, METHODS),
         options=CalibrationOptions(
             projection=stated_once("--projection", projection, (*PROJECTIONS, "auto")) or "auto",
             mirrored=stated_once("--mirrored", mirrored, get_args(Mirrored)),
@@ -132,7 +132,7 @@ def reanalyse_archive(
     stated = (("latitude", latitude or calibration), ("longitude", longitude or calibration))
     missing = [name for name, given in stated if given is None]
     plans = _plans(common) if cameras is None else read_cameras(cameras, common=common, required=missing)
-    plans = _with_patterns(plans, time_pattern or [])
+    plans = _assign_patterns(plans, time_pattern or [])
     indexed = index_archive(plans)
     _confirm(indexed, yes=yes)
     options = ReanalysisOptions(
@@ -182,7 +182,7 @@ def _plans(common: CameraPlan) -> list[CameraPlan]:
     return list(plans.values())
 
 
-def _pattern_of(given: str) -> tuple[str, str]:
+def _parse_camera_pattern(given: str) -> tuple[str, str]:
     """Return the camera that a pattern is for, "" for all, and the pattern."""
     name, equals, pattern = given.partition("=")
     camera, pattern = (name, pattern) if equals and "%" not in name else ("", given)
@@ -191,7 +191,7 @@ def _pattern_of(given: str) -> tuple[str, str]:
 
 def _common_pattern(given: list[str] | None) -> str | None:
     """Return the pattern that is for all cameras."""
-    found = [pattern for name, pattern in map(_pattern_of, given or []) if not name]
+    found = [pattern for name, pattern in map(_parse_camera_pattern, given or []) if not name]
     if len(found) > 1:
         raise InputError(
             field="--time-pattern", problem="two patterns for all cameras", remedy="give CAMERA=PATTERN for each"
@@ -199,9 +199,9 @@ def _common_pattern(given: list[str] | None) -> str | None:
     return found[0] if found else None
 
 
-def _with_patterns(plans: list[CameraPlan], given: Sequence[str]) -> list[CameraPlan]:
+def _assign_patterns(plans: list[CameraPlan], given: Sequence[str]) -> list[CameraPlan]:
     """Return cameras with the patterns that are given for them."""
-    patterns = {name: pattern for name, pattern in map(_pattern_of, given) if name}
+    patterns = {name: pattern for name, pattern in map(_parse_camera_pattern, given) if name}
     names = [plan.name for plan in plans]
     unknown = sorted(set(patterns) - set(names))
     if unknown:

@@ -13,8 +13,8 @@ from rich.markup import escape
 from sunarc.cli.options import (
     AsJson,
     Config,
-    choice_of,
     hub_settings,
+    parse_choice,
     print_json,
     print_rows,
     service_settings,
@@ -37,7 +37,7 @@ def serve(
     """
     from sunarc.imager.app.serving import end_process
 
-    is_hub = choice_of("--role", role, ("imager", "hub")) == "hub"
+    is_hub = parse_choice("--role", role, ("imager", "hub")) == "hub"
     start_log(os.environ)
     end_process(_serve_hub(config) if is_hub else _serve_imager(config))
 
@@ -70,14 +70,14 @@ def check(
 
     Example: sunarc check --camera --config /etc/sunarc/sunarc.toml
     """
-    from sunarc.imager.checks import question_of, run_camera_checks, run_checks
+    from sunarc.imager.checks import init_option, run_camera_checks, run_checks
 
     run = run_camera_checks if camera else run_checks
     results = list(run(load_settings(config), clock=SystemClock()))
     rows = [[result.outcome, result.what, escape(result.text)] for result in results]
-    record = [{**result._asdict(), "question": question_of(result)} for result in results]
+    record = [{**result._asdict(), "question": init_option(result)} for result in results]
     print_rows(record, ("", "", ""), rows, as_json=as_json)
-    asked = [f"{result.what} ({question})" for result in results if (question := question_of(result)) is not None]
+    asked = [f"{result.what} ({question})" for result in results if (question := init_option(result)) is not None]
     if asked and not as_json:
         print(f"sunarc init {'FILE' if config is None else config} asks again: {'; '.join(asked)}")
     if any(result.outcome == "fail" for result in results):

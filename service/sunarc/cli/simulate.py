@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sunarc.cli.options import Altitude, Latitude, Longitude
-from sunarc.cli.owner import act_as_owner_of
+from sunarc.cli.owner import act_as_folder_owner
 from sunarc.common.errors import InputError
 from sunarc.common.utc import parse_time
 from sunarc.imager.runtime.log_to_journal import start_log
@@ -44,7 +44,8 @@ def simulate(
     folder: Annotated[
         Path | None,
         typer.Option(
-            callback=act_as_owner_of, help="Write a picture a minute here instead, as another program's camera does."
+            callback=act_as_folder_owner,
+            help="Write a picture a minute here instead, as another program's camera does.",
         ),
     ] = None,
     http: Annotated[
@@ -59,7 +60,8 @@ def simulate(
     at: Annotated[str | None, typer.Option("--at", metavar="TIME", help="When, simulated time, ISO 8601.")] = None,
     cadence: Annotated[float, typer.Option(help="Simulated seconds between the pictures of --folder.")] = 60.0,
     truth: Annotated[
-        Path | None, typer.Option(callback=act_as_owner_of, help="Write the true camera here, a calibration document.")
+        Path | None,
+        typer.Option(callback=act_as_folder_owner, help="Write the true camera here, a calibration document."),
     ] = None,
 ) -> None:
     """Run a simulated imager that speaks GigE Vision on loopback; SIGUSR1 halves the speed of its clock.
@@ -74,7 +76,7 @@ def simulate(
     from sunarc.lab.simulation import serving as simulating
     from sunarc.lab.simulation.serving import ImagerOptions, SceneOptions, SensorModel, SimulatedNight
 
-    answers_at = None if http is None else _address_of(http, other=folder)
+    answers_at = None if http is None else _parse_address(http, other=folder)
     start_log(os.environ)
     site = Site(
         latitude=parse_angle(latitude, question="--latitude", axis="NS"),
@@ -131,7 +133,7 @@ def _bump(degrees: float | None, at: str | None) -> Bump:
 _LARGEST_BUMP_DEG = 45.0
 
 
-def _address_of(text: str, *, other: Path | None) -> tuple[str, int]:
+def _parse_address(text: str, *, other: Path | None) -> tuple[str, int]:
     if other is not None:
         raise InputError(field="--http", problem="stands beside --folder", remedy="give one of them")
     host, _, port = text.rpartition(":")

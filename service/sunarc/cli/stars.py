@@ -16,24 +16,24 @@ from sunarc.cli.options import (
     LatitudeIfGiven,
     LongitudeIfGiven,
     TimePatternOption,
-    angles_of,
-    choice_of,
+    parse_angles,
+    parse_choice,
     print_json,
     print_sentence,
     print_table,
 )
-from sunarc.cli.owner import act_as_owner_of
+from sunarc.cli.owner import act_as_folder_owner
 from sunarc.common.errors import InputError, disk_errors
 from sunarc.common.messages import counted
 from sunarc.detection.values import BAYERS
 from sunarc.formats.csv_files import read_sightings
 from sunarc.imager.runtime.clock import SystemClock
-from sunarc.public.calibrate_files import image_circle_of
+from sunarc.public.calibrate_files import parse_image_circle
 from sunarc.public.calibration_files import read_calibration
 from sunarc.public.star_files import StarImage, StarOptions, find_stars, find_stars_blind, write_star_sightings
 from sunarc.sky.site import Site
 from sunarc.sources.files import read_lines
-from sunarc.sources.image_times import TimeRules, utc_offset_of
+from sunarc.sources.image_times import TimeRules, parse_utc_offset
 from sunarc.stars.blind_start import BlindOptions
 
 BLIND = "Without a calibration"
@@ -51,7 +51,7 @@ def stars(
     write_calibration: Annotated[
         Path | None,
         typer.Option(
-            callback=act_as_owner_of, help="The calibration that --blind found (JSON).", rich_help_panel=BLIND
+            callback=act_as_folder_owner, help="The calibration that --blind found (JSON).", rich_help_panel=BLIND
         ),
     ] = None,
     latitude: LatitudeIfGiven = None,
@@ -64,7 +64,7 @@ def stars(
         float | None, typer.Option(help="How far the camera is tilted at most, degrees.", rich_help_panel=BLIND)
     ] = None,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", callback=act_as_owner_of, help="CSV of the stars' sightings.")
+        Path | None, typer.Option("--output", "-o", callback=act_as_folder_owner, help="CSV of the stars' sightings.")
     ] = None,
     beside: Annotated[
         Path | None, typer.Option(help="Sightings of the sun (CSV), written before the stars': all in one file.")
@@ -112,14 +112,14 @@ def stars(
     options = StarOptions(
         rules=TimeRules(
             time_pattern,
-            utc_offset_of(utc_offset or "0", field="--utc-offset"),
+            parse_utc_offset(utc_offset or "0", field="--utc-offset"),
             documents=True,
             is_offset_assumed=utc_offset is None,
         ),
         to_middle_s=to_middle,
         within_px=within,
         full_scale=full_scale,
-        bayer=None if bayer is None else choice_of("--bayer", bayer, BAYERS),
+        bayer=None if bayer is None else parse_choice("--bayer", bayer, BAYERS),
         gain_e_per_count=gain,
         clock_error_s=clock_error,
     )
@@ -127,11 +127,11 @@ def stars(
     place = (
         known_camera.site
         if known_camera is not None
-        else _site(calibration, *angles_of(latitude, longitude), altitude, blind=blind)
+        else _site(calibration, *parse_angles(latitude, longitude), altitude, blind=blind)
     )
     sun = None if beside is None else read_sightings(read_lines(beside), name=beside.name, site=place)
     if known_camera is None:
-        circle = None if image_circle is None else image_circle_of(image_circle)
+        circle = None if image_circle is None else parse_image_circle(image_circle)
         known = BlindOptions(level_within_deg=level_within, circle=circle)
         found = _found_blind(images, place, options, known, write_calibration, as_json=as_json)
     else:

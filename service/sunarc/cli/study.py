@@ -16,14 +16,14 @@ from rich.console import Console
 from rich.table import Table
 
 from sunarc.calibration.model.options import Method
-from sunarc.cli.options import AsJson, choice_of, print_json, progress_bars
-from sunarc.cli.owner import act_as_owner_of
+from sunarc.cli.options import AsJson, parse_choice, print_json, progress_bars
+from sunarc.cli.owner import act_as_folder_owner
 from sunarc.common.errors import InputError, disk_errors
 from sunarc.common.extras import extra_module
 from sunarc.common.findings import Finding
 from sunarc.lab.studies.published import CASES
 from sunarc.lab.studies.reports import make_folder, write_shadow, write_tables, write_uncertainty
-from sunarc.lab.studies.shadow import SIGMAS_DEG, WIND_M_S, study_shadow, study_shadow_of
+from sunarc.lab.studies.shadow import SIGMAS_DEG, WIND_M_S, study_calibrated_shadow, study_shadow
 from sunarc.lab.studies.tables import study_tables
 from sunarc.lab.studies.uncertainty import distribution_rows, study_uncertainty
 from sunarc.public.calibration_files import read_calibration
@@ -41,7 +41,7 @@ study_cli.add_typer(benchmark_cli, name="benchmark")
 
 AnyRow = Mapping[str, str | int | float]
 
-Out = Annotated[Path, typer.Option("--out", callback=act_as_owner_of, help="Folder for the CSV and PNG files.")]
+Out = Annotated[Path, typer.Option("--out", callback=act_as_folder_owner, help="Folder for the CSV and PNG files.")]
 Methods = Annotated[str, typer.Option("--method", help="paper, robust or both.")]
 Seed = Annotated[int, typer.Option(help="Of everything that is drawn.", min=0)]
 
@@ -136,7 +136,7 @@ def shadow(
         with _progress("sizes", len(SIGMAS_DEG)) as advance:
             rows = study_shadow(draws=draws, seed=seed, after_each=advance)
     else:
-        rows = study_shadow_of(read_calibration(calibration), draws=draws, seed=seed)
+        rows = study_calibrated_shadow(read_calibration(calibration), draws=draws, seed=seed)
     table = [asdict(row) for row in rows]
     shown = [row for row in table if row["baseline_m"] == 1000.0 and row["height_m"] in {1000.0, 2000.0}]
     sheets = {f"cloud at {WIND_M_S:g} m/s, cameras 1000 m apart; all rows in shadow.csv": (_SHADOW, shown)}
@@ -147,7 +147,7 @@ def shadow(
 def make(
     *,
     out: Annotated[
-        Path, typer.Option("--out", "-o", callback=act_as_owner_of, help="Folder for `cases/` and `truth/`.")
+        Path, typer.Option("--out", "-o", callback=act_as_folder_owner, help="Folder for `cases/` and `truth/`.")
     ],
     part: Annotated[str, typer.Option(help="simulated, or night: with stars.")] = "simulated",
     cases: Annotated[int, typer.Option(help="How many.", min=1, max=1000)] = 60,
@@ -164,7 +164,7 @@ def make(
     from sunarc.lab.studies.benchmark_cases import benchmark_cases
     from sunarc.lab.studies.benchmark_files import write_round
 
-    night = choice_of("--part", part, ("simulated", "night")) == "night"
+    night = parse_choice("--part", part, ("simulated", "night")) == "night"
     if seed != "new" and not seed.isdecimal():
         raise InputError(field="--seed", problem=f"{seed!r} is no whole number", remedy="give one, or new")
     number = secrets.randbits(128) if seed == "new" else int(seed)
@@ -182,7 +182,7 @@ def make(
 def run(
     cases: Annotated[Path, typer.Argument(help="The folder `cases/` of a round.")],
     *,
-    out: Annotated[Path, typer.Option("--out", "-o", callback=act_as_owner_of, help="Folder for the entry.")],
+    out: Annotated[Path, typer.Option("--out", "-o", callback=act_as_folder_owner, help="Folder for the entry.")],
     method: Annotated[str, typer.Option("--method", help="paper or robust.")] = "robust",
     as_json: AsJson = False,
 ) -> None:
@@ -191,13 +191,13 @@ def run(
     Example: sunarc study benchmark run round/cases -o entries/sunarc
     """
     from sunarc.lab.studies.benchmark_files import read_case, read_round, write_entry
-    from sunarc.lab.studies.benchmark_scores import answers_of, calibrate_case
+    from sunarc.lab.studies.benchmark_scores import calibrate_case, collect_answers
 
-    chosen, names = choice_of("--method", method, get_args(Method)), read_round(cases)[0]
+    chosen, names = parse_choice("--method", method, get_args(Method)), read_round(cases)[0]
 
     def answered(name: str) -> tuple[BenchmarkCase, Answered]:
         case, begin = read_case(cases / name), time.process_time()
-        given = answers_of(calibrate_case(case, chosen), case.queries)
+        given = collect_answers(calibrate_case(case, chosen), case.queries)
         return case, replace(given, processor_s=time.process_time() - begin)
 
     with _progress("cases", len(names)) as advance:
@@ -215,7 +215,7 @@ def score_entries(
     *,
     truth: Annotated[Path, typer.Option("--truth", help="The folder `truth/` of the round.")],
     out: Annotated[
-        Path | None, typer.Option("--out", callback=act_as_owner_of, help="File for the tables, in Markdown.")
+        Path | None, typer.Option("--out", callback=act_as_folder_owner, help="File for the tables, in Markdown.")
     ] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -224,14 +224,14 @@ def score_entries(
     Example: sunarc study benchmark score round/cases entries/sunarc --truth round/truth
     """
     from sunarc.lab.studies.benchmark_files import read_entry, read_round, read_truth, truth_hash
-    from sunarc.lab.studies.benchmark_scores import as_object, score, tables_of
+    from sunarc.lab.studies.benchmark_scores import as_object, render_tables, score
 
     truths, published = read_truth(truth), read_round(cases)[1]
     scores = [score(entry.resolve().name, truths, read_entry(entry, truths)) for entry in entries]
     if truth_hash(truth) != published:
         differs = Finding("benchmark_truth_differs")
         scores = [replace(one, findings=(differs, *one.findings)) for one in scores]
-    text = tables_of(scores)
+    text = render_tables(scores)
     if out is not None:
         with disk_errors(out):
             out.write_text(text, encoding="utf-8")

@@ -91,7 +91,7 @@ class Condition(NamedTuple):
     since: datetime | None = None
 
 
-def conditions_of(status: Mapping[str, Any]) -> tuple[Condition, ...]:
+def read_conditions(status: Mapping[str, Any]) -> tuple[Condition, ...]:
     """Return the conditions that a status lists."""
     findings = status.get("findings", ())  # version 0.2 has the reasons alone
     data = {finding["code"]: finding["data"] for finding in findings}

@@ -272,25 +272,25 @@ class _Field:
     def __init__(self, document: Mapping[str, Any], *, parameters: int) -> None:
         self._amplitude = float(document.get("amplitude_px", 0.0))
         self._half, self._center = np.asarray(document["half_px"]), np.asarray(document["center_px"])
-        self._orders = np.asarray(document["orders"]).reshape(-1, 2)
-        waves = len(self._orders)
-        self._variances = self._of_unit_amplitude(float(document.get("length_px", 1.0)))
+        self._wave_orders = np.asarray(document["orders"]).reshape(-1, 2)
+        waves = len(self._wave_orders)
+        self._variances = self._unit_variances(float(document.get("length_px", 1.0)))
         self._mean = np.asarray(document.get("mean", np.zeros((2, waves))), dtype=np.float64).reshape(2, waves)
         cross = document.get("cross", np.zeros((2, parameters, waves)))
         self._cross = np.asarray(cross, dtype=np.float64).reshape(2, parameters, waves)
         self._known = np.asarray(document.get("known", []), dtype=np.float64).reshape(-1, waves or 1)
         self._coupling = np.asarray(document.get("coupling", [[], []]), dtype=np.float64).reshape(2, -1, waves or 1)
 
-    def _of_unit_amplitude(self, length: float) -> FloatArray:
+    def _unit_variances(self, length: float) -> FloatArray:
         """Return (m,): the variances of the waves' coefficients of a field of amplitude 1 and a length in px."""
-        frequency = 0.5 * np.pi * self._orders / self._half
+        frequency = 0.5 * np.pi * self._wave_orders / self._half
         return np.asarray(2.0 * np.pi * length**2 * np.exp(-0.5 * length**2 * np.sum(frequency**2, axis=-1)))
 
     def _waves(self, pixels: FloatArray) -> FloatArray:
         """Return (n, m): the waves at pixels (n, 2); 0 beyond the box."""
         place = (pixels - self._center) / self._half + 1.0
         inside = np.all((place > 0.0) & (place < 2.0), axis=-1, keepdims=True)
-        waves = np.prod(np.sin(0.5 * np.pi * self._orders * place[:, None, :]) / np.sqrt(self._half), axis=-1)
+        waves = np.prod(np.sin(0.5 * np.pi * self._wave_orders * place[:, None, :]) / np.sqrt(self._half), axis=-1)
         return np.where(inside, waves, 0.0)
 
     def mean(self, pixels: FloatArray) -> FloatArray | float:

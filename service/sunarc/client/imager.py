@@ -18,8 +18,8 @@ from .answers import (
     ImagerEvent,
     Located,
     Projection,
-    conditions_of,
     parsed,
+    read_conditions,
 )
 from .requests import Requests, _day, _detail, _expected_content, _located, _named, _number, _points, _quoted, _time
 from .transport import ImagerError
@@ -326,7 +326,7 @@ class Imager(Requests):
         """Return why the service is degraded or not ready; empty when it is ready. Select by code."""
         status = self._service_json("/v1/status")
         with _expected_content():
-            return conditions_of(status)
+            return read_conditions(status)
 
     def events(self, *, after: str | None = None, silent_s: float = 60.0) -> Iterator[ImagerEvent]:
         """Yield events for as long as it is iterated over; first a "state" with the present state.

@@ -163,7 +163,7 @@ class Transport:
         `again` says whether a request that failed for the moment is repeated.
         """
         headers = {} if media_type is None else {"Content-Type": media_type}
-        return self._repeated(self._request(path, query, headers, body=body), again=again)
+        return self._repeat_request(self._request(path, query, headers, body=body), again=again)
 
     def ask_if_changed(
         self, path: str, query: Mapping[str, str | None], *, tag: str | None
@@ -171,7 +171,7 @@ class Transport:
         """Return the content as `ask` does; None where the answer still has an ETag."""
         headers = {} if tag is None else {"If-None-Match": tag}
         try:
-            return self._repeated(self._request(path, query, headers), again=False)
+            return self._repeat_request(self._request(path, query, headers), again=False)
         except ImagerError as error:
             if error.status == HTTPStatus.NOT_MODIFIED:
                 return None
@@ -180,7 +180,7 @@ class Transport:
     def change(self, path: str, body: bytes, *, method: str) -> bytes:
         """Return the content of the answer to a change, which is asked for once: it may have been made."""
         request = self._request(path, {}, {"Content-Type": "application/json"}, body=body, method=method)
-        return self._repeated(request, again=False)[0]
+        return self._repeat_request(request, again=False)[0]
 
     def _request(
         self,
@@ -196,7 +196,7 @@ class Transport:
             f"{self._address}{path}?{given}", data=body, headers={**self._headers, **headers}, method=method
         )
 
-    def _repeated(self, request: urllib.request.Request, *, again: bool) -> tuple[bytes, Mapping[str, str]]:
+    def _repeat_request(self, request: urllib.request.Request, *, again: bool) -> tuple[bytes, Mapping[str, str]]:
         for attempt in range(self._retries + 1):
             try:
                 return self._answer(request)

@@ -47,7 +47,7 @@ def require_bounds(options: object, *, section_path: str) -> None:
     InputError
         Naming `section_path.field`, the value given and what is allowed.
     """
-    for name, bounds in bounds_of(type(options)).items():
+    for name, bounds in declared_bounds(type(options)).items():
         for value in _values(getattr(options, name)):
             if not all(_holds(bound, value) for bound in bounds):
                 raise InputError(
@@ -57,9 +57,9 @@ def require_bounds(options: object, *, section_path: str) -> None:
                 )
 
 
-def bounds_of(options: type) -> dict[str, tuple[Bound, ...]]:
+def declared_bounds(options: type) -> dict[str, tuple[Bound, ...]]:
     """Return the declared bounds of a dataclass by field; fields without any are absent."""
-    return dict(_declared(options))
+    return dict(_collect_bounds(options))
 
 
 def bounds_text(bounds: tuple[Bound, ...]) -> str:
@@ -82,7 +82,7 @@ def _text(bound: Bound) -> str:
 
 
 @cache
-def _declared(options: type) -> dict[str, tuple[Bound, ...]]:
+def _collect_bounds(options: type) -> dict[str, tuple[Bound, ...]]:
     if not is_dataclass(options):
         raise TypeError(f"{options.__name__} is not a dataclass")
     hints = get_type_hints(options, include_extras=True)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from sunarc.common.errors import InputError
-from sunarc.common.messages import filled, message_of
+from sunarc.common.messages import filled, find_message
 
 Data = Mapping[str, float | int | str]
 
@@ -33,13 +33,13 @@ class Finding:
     @property
     def text(self) -> str:
         """The sentence; of an unknown code (another version's) the code and its data."""
-        message = message_of(self.code)
+        message = find_message(self.code)
         return (message and filled(message.text, self.data)) or f"{self.code} {dict(self.data)}"
 
     @property
     def remedy(self) -> str:
         """Remedy of the finding; "none" for an unknown code."""
-        message = message_of(self.code)
+        message = find_message(self.code)
         return (message and filled(message.action, self.data)) or "none"
 
     @property
@@ -53,7 +53,7 @@ class Finding:
         return {"code": self.code, "data": data}
 
 
-def headline_of(findings: Sequence[Finding], *, used: int) -> dict[str, Any] | None:
+def choose_headline(findings: Sequence[Finding], *, used: int) -> dict[str, Any] | None:
     """Return the cause that took most files, where it took more than were used: its code, its number and its sentence.
 
     Parameters
@@ -100,13 +100,13 @@ def joined(findings: Iterable[Finding]) -> str:
     """Return the findings of one detection in a sentence, joined as their messages state it."""
     text, after = "", ""
     for finding in findings:
-        message = message_of(finding.code)
+        message = find_message(finding.code)
         text += (text and ((message and message.before) or after)) + finding.text
         after = message.after if message else "; "
     return text
 
 
-def findings_of(stored: Mapping[str, Any]) -> tuple[Finding, ...]:
+def parse_findings(stored: Mapping[str, Any]) -> tuple[Finding, ...]:
     """Return the findings of a JSON object that has `findings`, or only `reasons` (version 0.2 and before)."""
     return tuple(from_json(one) for one in stored.get("findings") or stored["reasons"])
 

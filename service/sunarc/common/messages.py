@@ -32,15 +32,15 @@ class Message(NamedTuple):
     after: str = "; "
 
 
-def message_of(code: str) -> Message | None:
+def find_message(code: str) -> Message | None:
     """Return the message of a code; None where no installed house has it."""
-    return next((found[code] for found in map(_messages_of, _houses()) if code in found), None)
+    return next((found[code] for found in map(_load_messages, _houses()) if code in found), None)
 
 
 def all_messages() -> Iterator[tuple[str, Message]]:
     """Yield the codes of all installed houses with their messages, the library's first."""
     for house in _houses():
-        yield from _messages_of(house).items()
+        yield from _load_messages(house).items()
 
 
 def filled(template: str, data: Mapping[str, object]) -> str | None:
@@ -91,7 +91,7 @@ def _houses() -> tuple[str, ...]:
 
 
 @cache
-def _messages_of(house: str) -> dict[str, Message]:
+def _load_messages(house: str) -> dict[str, Message]:
     rooms = tomllib.loads(files("sunarc").joinpath(house, _FILE).read_text(encoding="utf-8"))
     within = "" if house == _LIBRARY else f"{house}/"
     return {code: Message(within + room, **entry) for room, codes in rooms.items() for code, entry in codes.items()}

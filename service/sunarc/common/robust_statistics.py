@@ -1,4 +1,4 @@
-"""Scales, weights and losses that a few gross errors do not move.
+"""PriorScales, weights and losses that a few gross errors do not move.
 
 How much a sighting counts is Tukey's biweight of how far it lies off, about a scale found in the data.
 """
@@ -16,7 +16,7 @@ MAD_TO_SIGMA = 1.4826
 """1-sigma of a normal distribution over its median absolute deviation, 1 / Φ⁻¹(3/4)."""
 
 
-def median_of(values: FloatArray) -> float:
+def fast_median(values: FloatArray) -> float:
     """Return the median of a flat array, without numpy's cost a call."""
     half = values.size // 2
     if values.size % 2:
@@ -27,7 +27,7 @@ def median_of(values: FloatArray) -> float:
 
 def mad_sigma(residuals: FloatArray) -> float:
     """Return the 1-sigma of residuals about 0, (...), by their median absolute value."""
-    return MAD_TO_SIGMA * median_of(np.abs(residuals).ravel())
+    return MAD_TO_SIGMA * fast_median(np.abs(residuals).ravel())
 
 
 _NEIGHBOURS = 4

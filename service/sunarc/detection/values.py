@@ -176,7 +176,7 @@ class Expectation:
             )
 
 
-def bayer_of(pixel_format: str) -> Bayer | None:
+def bayer_pattern(pixel_format: str) -> Bayer | None:
     """Return the colours of a GenICam pixel format ("BayerRG8", …); None for mono."""
     patterns: dict[str, Bayer] = {"RG": "RGGB", "BG": "BGGR", "GR": "GRBG", "GB": "GBRG"}
     return patterns.get(pixel_format[5:7]) if pixel_format.startswith("Bayer") else None

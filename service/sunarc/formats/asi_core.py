@@ -25,7 +25,7 @@ from sunarc.common.array_types import BoolArray, FloatArray
 from sunarc.common.errors import InputError
 from sunarc.common.extras import extra_module
 from sunarc.formats.calibration_document import from_document
-from sunarc.formats.exported import FAR_FUTURE, FAR_PAST, Exported, notes_of
+from sunarc.formats.exported import FAR_FUTURE, FAR_PAST, Exported, file_notes
 from sunarc.formats.matlab import matlab_bytes, read_variables
 from sunarc.formats.ocam import OcamModel, ocam_model, ocam_view
 from sunarc.formats.view import View, camera_view, compare
@@ -54,7 +54,7 @@ def asi_core_yaml(
     diameter = round(2.0 * float(np.polynomial.polynomial.polyval(0.0, model.ray_to_pixel)))
     lines = [
         *(f"# {note}" for note in notes),
-        f"camera_name: {_quoted(camera['camera_name'])}",
+        f"camera_name: {_quote_text(camera['camera_name'])}",
         "camera_model: 'unknown'  # a calibration document does not say it",
         *(f"{name}: !!timestamp '{camera[name]}'" for name in ("mounted", "demounted")),
         *(f"{name}: {camera[name]!r}" for name in ("latitude", "longitude", "altitude")),
@@ -72,10 +72,10 @@ def asi_core_yaml(
         f"  height: {height}",
         f"  diameter: {diameter}  # of the horizon of a level camera, px",
         f"external_orientation: [{alpha:.12f}, {beta:.12f}, {gamma:.12f}]",
-        f"camera_mask_file: {_quoted(camera['camera_mask_file'])}  # beside this file; 1 where a pixel shows the sky",
+        f"camera_mask_file: {_quote_text(camera['camera_mask_file'])}  # next to this file; 1 where a pixel is sky",
     ]
     if angles := camera["celestial_coordinate_masks"]:
-        lines.append(f"celestial_coordinate_masks: {_quoted(angles)}  # AngleMatrix with ELE and AZ, radians")
+        lines.append(f"celestial_coordinate_masks: {_quote_text(angles)}  # AngleMatrix with ELE and AZ, radians")
     return ("\n".join(lines) + "\n").encode()
 
 
@@ -141,7 +141,7 @@ def _require_mask_size(mask: bytes | None, size: tuple[int, int], *, name: str) 
 _MASK_PNG = "_mask.png"
 
 
-def mask_of(found: BackProjectionMap) -> NDArray[np.uint8]:
+def asi_core_mask(found: BackProjectionMap) -> NDArray[np.uint8]:
     """Return the mask (height, width): 1 where a pixel looks above the horizon."""
     with np.errstate(invalid="ignore"):
         return np.asarray(found.zenith_deg <= _HORIZON_DEG).astype(np.uint8)
@@ -153,7 +153,7 @@ def mask_files(mask: NDArray[np.uint8], *, stem: str) -> dict[str, bytes]:
     return {f"{stem}_mask.mat": matlab_bytes({"Mask": mask[None, None, None]}), f"{stem}{_MASK_PNG}": png}
 
 
-def with_obstructions(exported: Exported, hidden: BoolArray) -> Exported:
+def leave_out_obstructions(exported: Exported, hidden: BoolArray) -> Exported:
     """Return a camera file whose mask leaves out the pixels (height, width) that are hidden from the sky."""
     (name,) = (name for name in exported.beside if name.endswith(_MASK_PNG))
     mask = cv2.imdecode(np.frombuffer(exported.beside[name], np.uint8), cv2.IMREAD_GRAYSCALE)
@@ -180,7 +180,7 @@ def matrix_files(found: BackProjectionMap, *, camera: str, time: str) -> dict[st
     return files
 
 
-def _quoted(text: str | float) -> str:
+def _quote_text(text: str | float) -> str:
     return "'" + str(text).replace("'", "''") + "'"
 
 
@@ -201,10 +201,10 @@ def asi_core_file(calibration: Calibration, document: Document, *, with_matrices
     mounted = document["valid_from"] or FAR_PAST
     name, time = _plain(document["camera"]), re.sub(r"[^0-9]", "", mounted)[:14]
     found = back_projection_map(lookup(calibration))
-    masks = mask_files(mask_of(found), stem=f"{name}_{time}")
+    masks = mask_files(asi_core_mask(found), stem=f"{name}_{time}")
     matrices = matrix_files(found, camera=name, time=time) if with_matrices else {}
     notes = [
-        *notes_of(document),
+        *file_notes(document),
         f"this model {error}",
         "four coefficients can do no more: the matrices of azimuth and elevation of a set are exact",
         "asi_core's own azimuth matrix is counted in radians counter-clockwise from east: it is pi/2 - azimuth",

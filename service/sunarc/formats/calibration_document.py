@@ -63,7 +63,7 @@ class DocumentReader:
         except OverflowError:
             raise InputError(field=key, problem="is out of range", remedy="give a number below 1e308") from None
 
-    def numbers_of(self, key: str, kind: type[result.Metrics | Site]) -> dict[str, Any]:
+    def read_numbers(self, key: str, kind: type[result.Metrics | Site]) -> dict[str, Any]:
         """Return the numbers that a dataclass holds, by name; those with a default only where there is one."""
         optional = {f.name: f.default is not MISSING for f in fields(kind)}
         found = {name: self.number(f"{key}.{name}", needed=not may_miss) for name, may_miss in optional.items()}
@@ -254,7 +254,7 @@ def field_document(field: Field, displacement: Displacement | None = None) -> Do
         "center_px": list(field.basis.center_px),
         "half_px": list(field.basis.half_px),
         "orders": field.basis.orders.tolist(),
-        "mean": _rounded(field.basis.coefficients_of(displacement), digits=10),
+        "mean": _rounded(field.basis.fit_coefficients(displacement), digits=10),
         "cross": _rounded(field.cross, digits=8),
         "known": _rounded(field.known, digits=8),
         "coupling": _rounded(field.coupling, digits=8),
@@ -333,7 +333,7 @@ def from_document(document: object) -> result.Calibration:
             marginal=bool(read.value("verdict.marginal", needed=False)),
         ),
         method=method,
-        site=Site(**read.numbers_of("site", Site)),
+        site=Site(**read.read_numbers("site", Site)),
         mixture=_read_mixture(read),
         night=_read_night(read),
         sigma_limit_deg=_read_limit(read),
@@ -436,7 +436,7 @@ def _read_mean(read: DocumentReader, basis: WaveBasis) -> Displacement | None:
 
 
 def _read_metrics(read: DocumentReader) -> result.Metrics:
-    numbers = read.numbers_of("metrics", result.Metrics)
+    numbers = read.read_numbers("metrics", result.Metrics)
     return result.Metrics(**numbers | {"n": read.count("metrics.n")})
 
 

@@ -63,15 +63,15 @@ def read_sightings(lines: Iterable[str], *, name: str, site: Site | None = None)
     InputError : naming the line and column, the problem and the remedy.
     """
     points, wheres = read_unplaced(lines, name=name)
-    return with_named_bodies(points, site, wheres=wheres)
+    return name_bodies(points, site, wheres=wheres)
 
 
 def read_unplaced(lines: Iterable[str], *, name: str) -> tuple[Sightings, RowPlaces]:
     """Read sightings as `read_sightings` does, but bodies by their names have no direction yet; and where each stands.
 
-    They are complete after `with_named_bodies`.
+    They are complete after `name_bodies`.
     """
-    parts = [_first_fault_of(_unplaced, part) for part in _parts(lines, name=name, required=_REQUIRED)]
+    parts = [_read_to_first_fault(_unplaced, part) for part in _parts(lines, name=name, required=_REQUIRED)]
     columns = np.concatenate([np.zeros((0, 9)), *(one.columns for one in parts)])
     epochs = _epochs([one.of_camera for one in parts], [one.columns[:, 0] for one in parts], name=name)
     return Sightings.of(
@@ -126,7 +126,7 @@ def _unplaced(part: _CsvRows) -> _Unplaced:
     return _Unplaced(part.line, np.stack(columns, axis=-1), names, of_camera)
 
 
-def with_named_bodies(points: Sightings, site: Site | None, *, wheres: RowPlaces) -> Sightings:
+def name_bodies(points: Sightings, site: Site | None, *, wheres: RowPlaces) -> Sightings:
     """Return sightings whose bodies other than the sun have the directions that a site gives their names.
 
     Parameters
@@ -226,7 +226,7 @@ def read_pairs(lines: Iterable[str], *, columns: tuple[str, str], name: str) -> 
         return np.stack([part.numbers(column) for column in columns], axis=-1)
 
     parts = _parts(lines, name=name, required=columns)
-    return np.concatenate([np.zeros((0, 2)), *(_first_fault_of(pairs, part) for part in parts)])
+    return np.concatenate([np.zeros((0, 2)), *(_read_to_first_fault(pairs, part) for part in parts)])
 
 
 def write_columns(target: TextIO, columns: dict[str, FloatArray], *, places: dict[str, int]) -> None:
@@ -342,7 +342,7 @@ def _parts(lines: Iterable[str], *, name: str, required: Sequence[str]) -> Itera
             )
 
 
-def _first_fault_of(read: Callable[[_CsvRows], _Read], part: _CsvRows) -> _Read:
+def _read_to_first_fault(read: Callable[[_CsvRows], _Read], part: _CsvRows) -> _Read:
     """Return the values that a function reads from rows; InputError names the first row that is at fault."""
     try:
         return read(part)

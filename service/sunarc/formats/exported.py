@@ -206,7 +206,7 @@ class Exported:
         return target.getvalue()
 
 
-def notes_of(document: Mapping[str, Any]) -> list[str]:
+def file_notes(document: Mapping[str, Any]) -> list[str]:
     """Return the head of every file: who made it of which calibration, and the conventions."""
     software, limit = document["software"], document["uncertainty"].get("sigma_limit_deg")
     return [

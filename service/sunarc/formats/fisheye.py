@@ -17,7 +17,7 @@ import numpy as np
 from sunarc.common.array_types import BoolArray, FloatArray
 from sunarc.common.errors import InputError
 from sunarc.common.extras import extra_module
-from sunarc.formats.view import View, lens_view, sky_of
+from sunarc.formats.view import View, camera_sky, lens_view
 from sunarc.optics.camera import Camera
 from sunarc.optics.pose import rotation_matrix
 
@@ -79,7 +79,7 @@ class FisheyeModel:
 
 def fisheye_model(camera: Camera, *, prism: bool = False) -> FisheyeModel:
     """Return the fisheye model that is closest to a camera; `prism`: with decentering and thin prism."""
-    sky = sky_of(camera, within=math.radians(WITHIN_DEG))
+    sky = camera_sky(camera, within=math.radians(WITHIN_DEG))
     sign = -1.0 if camera.mirrored else 1.0
     x0, y0 = camera.principal_point_px
     start = np.zeros(15)
@@ -251,7 +251,7 @@ def colmap_text(model: FisheyeModel, *, size: tuple[int, int], notes: list[str])
     values = model.parameters.copy()
     values[[Fisheye.CX, Fisheye.CY]] += _COLMAP_ORIGIN_PX
     numbers = " ".join(f"{value:.15g}" for value in values)
-    return _commented(model, notes) + f"1 THIN_PRISM_FISHEYE {size[0]} {size[1]} {numbers}\n".encode()
+    return _add_comments(model, notes) + f"1 THIN_PRISM_FISHEYE {size[0]} {size[1]} {numbers}\n".encode()
 
 
 def read_colmap(content: bytes, *, name: str) -> View:
@@ -293,7 +293,7 @@ def ros_yaml(model: FisheyeModel, *, size: tuple[int, int], camera: str, notes: 
         *matrix("rectification_matrix", np.eye(3)),
         *matrix("projection_matrix", np.column_stack([model.matrix, np.zeros(3)])),
     ]
-    return _commented(model, notes) + ("\n".join(lines) + "\n").encode()
+    return _add_comments(model, notes) + ("\n".join(lines) + "\n").encode()
 
 
 def read_ros(content: bytes, *, name: str) -> View:
@@ -316,7 +316,7 @@ def read_ros(content: bytes, *, name: str) -> View:
     return _text_view("ros", parameters, content, size)
 
 
-def _commented(model: FisheyeModel, notes: list[str]) -> bytes:
+def _add_comments(model: FisheyeModel, notes: list[str]) -> bytes:
     rotation = " ".join(f"{value:.15g}" for value in model.rotation.ravel())
     return "".join(f"# {note}\n" for note in [*notes, _ROTATION + rotation]).encode()
 

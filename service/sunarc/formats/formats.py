@@ -20,7 +20,7 @@ from sunarc.common.findings import Finding, FindingError
 from sunarc.formats import fisheye, pixel_maps
 from sunarc.formats.asi_core import asi_core_file, read_asi_core
 from sunarc.formats.calibration_document import from_document
-from sunarc.formats.exported import PIXELS, Exported, Table, Variable, notes_of
+from sunarc.formats.exported import PIXELS, Exported, Table, Variable, file_notes
 from sunarc.formats.mrcal import cameramodel, read_mrcal, splined_model, splined_view
 from sunarc.formats.ocam import calib_results, ocam_model, ocam_view, read_ocamcalib
 from sunarc.formats.remap import is_remap, read_remap, remap_table, sky_grid
@@ -81,10 +81,10 @@ def export(document: Document, form: str) -> Exported:
     InputError
         The document is not a calibration document, the format is unknown, or cannot describe its camera.
     """
-    return format_of(form).write(from_document(document), document)
+    return find_format(form).write(from_document(document), document)
 
 
-def format_of(name: str, *, field: str = "format") -> Format:
+def find_format(name: str, *, field: str = "format") -> Format:
     """Return a format by its name; FindingError where it is unknown."""
     if name not in FORMATS:
         raise FindingError(field, Finding("format_unknown", {"format": name, "known": ", ".join(FORMATS)}))
@@ -100,7 +100,7 @@ def read_view(content: bytes, *, name: str, beside: Beside = lambda _: None) -> 
         The format is unknown or without a reader, the file is not what its format says, or no pixel of its image has a
         direction.
     """
-    view = _reader(_format_of_content(content), name)(content, name=name, beside=beside)
+    view = _reader(_recognize_format(content), name)(content, name=name, beside=beside)
     across = [np.linspace(0.0, size - 1.0, _PROBED) for size in (view.width, view.height)]
     if not np.any(np.isfinite(view.unproject(np.stack(np.meshgrid(*across), axis=-1).reshape(-1, 2)))):
         raise InputError(
@@ -109,7 +109,7 @@ def read_view(content: bytes, *, name: str, beside: Beside = lambda _: None) -> 
     return view
 
 
-def _format_of_content(content: bytes) -> Format:
+def _recognize_format(content: bytes) -> Format:
     """Return the format of a file: by its start, else by the longest mark in it."""
     for form in FORMATS.values():
         if content.startswith(form.start):
@@ -171,12 +171,12 @@ def _alone(read: Callable[..., View]) -> Read:
 # Models that are fitted to the camera: the error is that of the model.
 
 
-def _of_model(
+def _export_model(
     calibration: Calibration, document: Document, view: View, content: Callable[[list[str]], bytes]
 ) -> Exported:
     """Return the file of a model, with its difference to the camera among its notes."""
     error = compare(camera_view(calibration.camera), view)
-    notes = [*notes_of(document), f"this model {error}"]
+    notes = [*file_notes(document), f"this model {error}"]
     return Exported(content=content(notes), error=str(error), difference=error.total)
 
 
@@ -197,19 +197,19 @@ def _opencv(calibration: Calibration, document: Document) -> Exported:
         }
         return fisheye.opencv_yaml(model, width=width, height=height, notes=stated)
 
-    return _of_model(calibration, document, fisheye.fisheye_view("opencv", model, size=(width, height)), content)
+    return _export_model(calibration, document, fisheye.fisheye_view("opencv", model, size=(width, height)), content)
 
 
 def _mrcal(calibration: Calibration, document: Document) -> Exported:
     model = splined_model(calibration.camera)
     view = splined_view(model, size=_size(calibration))
-    return _of_model(calibration, document, view, lambda notes: cameramodel(model, calibration.camera, notes=notes))
+    return _export_model(calibration, document, view, lambda notes: cameramodel(model, calibration.camera, notes=notes))
 
 
 def _ocamcalib(calibration: Calibration, document: Document) -> Exported:
     model, (width, height) = ocam_model(calibration.camera), _size(calibration)
     view = ocam_view("ocamcalib", model, size=(width, height))
-    return _of_model(
+    return _export_model(
         calibration, document, view, lambda notes: calib_results(model, width=width, height=height, notes=notes)
     )
 
@@ -221,7 +221,7 @@ def _virtualsky(calibration: Calibration, document: Document) -> Exported:
     def content(notes: list[str]) -> bytes:
         return virtualsky_json(square, size=size, site=calibration.site, notes=notes)
 
-    made = _of_model(calibration, document, virtualsky_view(square, size=size), content)
+    made = _export_model(calibration, document, virtualsky_view(square, size=size), content)
     if made.difference is None or not made.difference.max_deg <= MOST_DEG:
         worst = math.nan if made.difference is None else made.difference.max_deg
         raise FindingError("calibration", Finding("format_does_not_hold", {"max_deg": worst, "limit_deg": MOST_DEG}))
@@ -233,7 +233,7 @@ def _virtualsky(calibration: Calibration, document: Document) -> Exported:
 
 def _read_back(name: str, write: WriteFiles, calibration: Calibration, document: Document, *, says: bool) -> Exported:
     """Return the files of a format, the first of which is read for the error; it says that where it can hold a text."""
-    notes = notes_of(document)
+    notes = file_notes(document)
     written = write(calibration, document, notes)
     file = next(iter(written))
     view = _reader(FORMATS[name], name)(written[file], name=file, beside=written.get)

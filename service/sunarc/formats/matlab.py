@@ -57,7 +57,7 @@ def read_variables(content: bytes, names: Collection[str]) -> dict[str, Variable
         raise ValueError("no header of version 5")
     found: dict[str, Variable] = {}
     for element in _elements(memoryview(content)[_BEGIN:], order):
-        whole = _decompressed(element) if element.kind == _COMPRESSED else element.data
+        whole = _decompress(element) if element.kind == _COMPRESSED else element.data
         for one in _elements(whole, order) if element.kind == _COMPRESSED else (element,):
             parts = _elements(one.data, order)
             flags, shape, name = _begin(parts, order)
@@ -90,7 +90,7 @@ def _elements(data: memoryview, order: str) -> Iterator[_Element]:
         place += length
 
 
-def _decompressed(element: _Element) -> memoryview:
+def _decompress(element: _Element) -> memoryview:
     stream = zlib.decompressobj()
     try:
         whole = stream.decompress(element.data, _MOST_BYTES)

@@ -16,7 +16,7 @@ from scipy.sparse.linalg import spsolve
 
 from sunarc.common.array_types import FloatArray
 from sunarc.common.errors import InputError
-from sunarc.formats.view import View, lens_view, sky_of
+from sunarc.formats.view import View, camera_sky, lens_view
 from sunarc.optics.camera import Camera
 from sunarc.optics.pose import rotation_matrix
 
@@ -43,7 +43,7 @@ class SplinedModel:
 
 def splined_model(camera: Camera) -> SplinedModel:
     """Return mrcal's splined model that is closest to a camera; its pose is the camera's own."""
-    sky = sky_of(camera, within=camera.max_angle)
+    sky = camera_sky(camera, within=camera.max_angle)
     fov_deg = min(math.ceil(2.0 * math.degrees(sky.within + _MARGIN)), 330)
     sign = -1.0 if camera.mirrored else 1.0
     focal = np.array([sign * camera.focal_length_px[0], camera.focal_length_px[1]])

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from sunarc.common.array_types import FloatArray
 from sunarc.common.errors import InputError
-from sunarc.formats.view import Sky, View, sky_of
+from sunarc.formats.view import Sky, View, camera_sky
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import rotation_matrix
@@ -30,7 +30,7 @@ _CUBIC = ((0, 1, 2, 3),)
 _GOOD_ENOUGH_PX = 0.02
 _SCALE = 1000.0
 _STEPS = np.r_[1.0, 1.0, np.full(5, 1e-3), np.ones(_FORWARD + 1)]
-"""Scales of the parameters: px, affine part and radians, px."""
+"""PriorScales of the parameters: px, affine part and radians, px."""
 _NODES = 20001
 """Of the table that inverts a polynomial: a linear interpolation of it is exact to 1e-5 px."""
 FRAME = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
@@ -70,7 +70,7 @@ def ocam_model(camera: Camera, *, cubic: bool = False) -> OcamModel:
         down to the horizon, where the other one is fitted to all that the lens sees.
     """
     horizon = math.pi / 2 + math.acos(float(np.clip(rotation_matrix(camera.rotation_cam_enu)[2, 2], -1.0, 1.0)))
-    sky = sky_of(camera, within=min(horizon, camera.max_angle) if cubic else camera.max_angle)
+    sky = camera_sky(camera, within=min(horizon, camera.max_angle) if cubic else camera.max_angle)
     sign = -1.0 if camera.mirrored else 1.0
     frame = np.array([[0.0, sign, 0.0], [sign, 0.0, 0.0], [0.0, 0.0, -1.0]])
     x0, y0 = camera.principal_point_px
@@ -118,7 +118,7 @@ def ocam_view(form: str, model: OcamModel, *, size: tuple[int, int], has_pose: b
     radii = np.linspace(0.0, math.hypot(*size), _NODES)
     z_of = np.polynomial.polynomial.polyval(radii, model.pixel_to_ray)
     elevations = np.arctan2(z_of, radii)
-    last = _end_of_rise(elevations)
+    last = _rise_length(elevations)
     limit = math.pi / 2 if to_radius is None else _highest(to_radius)
 
     def project_rays(directions: FloatArray) -> FloatArray:
@@ -149,7 +149,7 @@ def ocam_view(form: str, model: OcamModel, *, size: tuple[int, int], has_pose: b
     )
 
 
-def _end_of_rise(values: NDArray[np.floating[Any]]) -> int:
+def _rise_length(values: NDArray[np.floating[Any]]) -> int:
     """Return how many of the first values rise."""
     falls = np.diff(values) <= 0.0
     return int(np.argmax(falls)) + 1 if np.any(falls) else len(values)
@@ -158,7 +158,7 @@ def _end_of_rise(values: NDArray[np.floating[Any]]) -> int:
 def _highest(ray_to_pixel: FloatArray) -> float:
     """Return the angle above the image plane up to which a radius rises, looked for beyond 10 degrees off the axis."""
     angles = np.linspace(math.radians(-80.0), math.pi / 2, _NODES)
-    return float(angles[_end_of_rise(np.polynomial.polynomial.polyval(angles, ray_to_pixel)) - 1])
+    return float(angles[_rise_length(np.polynomial.polynomial.polyval(angles, ray_to_pixel)) - 1])
 
 
 def _affine(parameters: FloatArray, sign: float) -> FloatArray:

@@ -42,12 +42,12 @@ def sixteen_bit_files(found: BackProjectionMap, *, suffix: str) -> dict[str, byt
         "zenith": found.zenith_deg * (STEPS / 90.0),
     }
     return {
-        f"{name}_visible{suffix}": _encoded(np.where(above, np.rint(values), OUTSIDE).astype(np.uint16), suffix)
+        f"{name}_visible{suffix}": _encode_image(np.where(above, np.rint(values), OUTSIDE).astype(np.uint16), suffix)
         for name, values in raw.items()
     }
 
 
-def _encoded(image: NDArray[np.uint16], suffix: str) -> bytes:
+def _encode_image(image: NDArray[np.uint16], suffix: str) -> bytes:
     return cv2.imencode(suffix, image, _LOSSLESS[suffix])[1].tobytes()
 
 
@@ -59,14 +59,14 @@ def read_sixteen_bit(content: bytes, *, name: str, beside: Callable[[str], bytes
         raise InputError(
             field=name, problem="not one of a pair azimuth_NAME, zenith_NAME", remedy="keep both in one folder"
         )
-    images = {kind: _decoded(content, name), other: _decoded(second, name)}
+    images = {kind: _decode_image(content, name), other: _decode_image(second, name)}
     if images["azimuth"].shape != images["zenith"].shape:
         raise InputError(field=name, problem="azimuth and zenith are of different sizes", remedy="write them again")
     zenith = np.where(images["zenith"] <= STEPS, images["zenith"] * (90.0 / STEPS), np.nan)
     return _angle_view(f"azimuth-zenith-{name[-3:]}", images["azimuth"] * (360.0 / STEPS), zenith, name=name)
 
 
-def _decoded(content: bytes, name: str) -> FloatArray:
+def _decode_image(content: bytes, name: str) -> FloatArray:
     image = decoded(content)
     if image is None or image.dtype != np.uint16 or image.ndim != 2:
         raise InputError(field=name, problem="no grey image of 16 bits", remedy="give azimuth_NAME and zenith_NAME")
@@ -110,10 +110,10 @@ def _hdu(name: str, values: NDArray[Any], notes: list[str], *, first: bool) -> b
     text = [note.encode("ascii", "replace").decode() for note in notes] if first else []
     cards += [f"COMMENT {line[k : k + 72]}" for line in text for k in range(0, len(line), 72)]
     header = "".join(f"{card:{_CARD}}" for card in [*cards, "END"]).encode()
-    return _padded(header, b" ") + _padded(values.astype(">f4").tobytes(), b"\0")
+    return _pad_block(header, b" ") + _pad_block(values.astype(">f4").tobytes(), b"\0")
 
 
-def _padded(content: bytes, fill: bytes) -> bytes:
+def _pad_block(content: bytes, fill: bytes) -> bytes:
     return content + fill * (-len(content) % _BLOCK)
 
 

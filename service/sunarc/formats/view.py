@@ -366,7 +366,7 @@ class Sky:
     pixels: FloatArray
 
 
-def sky_of(camera: Camera, *, within: float) -> Sky:
+def camera_sky(camera: Camera, *, within: float) -> Sky:
     """Return a camera's sky, up to an angle in radians off its axis."""
     limit = min(within, rising_limit(camera, up_to=camera.max_angle))
     rays = hemisphere(_FITTED_DIRECTIONS)
@@ -429,7 +429,7 @@ def _fitted(view: View, pixels: FloatArray, directions: FloatArray, projection: 
 
     def parameters_of(moving: FloatArray) -> Camera:
         vector[_FITTED] = moving
-        return start.with_parameters(vector)
+        return start.replace_parameters(vector)
 
     def residuals(moving: FloatArray) -> FloatArray:
         found = project_with_jacobian(parameters_of(moving), directions)[0]

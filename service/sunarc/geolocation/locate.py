@@ -50,7 +50,7 @@ def geodetic_position(position_m: FloatArray, site: Site) -> GeodeticPosition:
     return GeodeticPosition(np.degrees(latitude), np.degrees(longitude), altitude, up)
 
 
-def in_frame_of(site: Site, other: Site) -> tuple[FloatArray, FloatArray]:
+def relative_frame(site: Site, other: Site) -> tuple[FloatArray, FloatArray]:
     """Return where another site is, (3,) metres east, north and up of a site, and (3, 3): its axes to the site's."""
     axes, origin = local_frame(site)
     other_axes, other_origin = local_frame(other)

@@ -11,7 +11,7 @@ import numpy as np
 
 from sunarc.common.array_types import FloatArray
 from sunarc.common.errors import InputError
-from sunarc.geolocation.locate import GeodeticPosition, geodetic_position, in_frame_of
+from sunarc.geolocation.locate import GeodeticPosition, geodetic_position, relative_frame
 from sunarc.sky.site import Site
 
 _STEP = 1e-6
@@ -72,7 +72,7 @@ def pair_height(first: PairView, second: PairView) -> PairHeight:
         Where a direction is not above the horizon, where the rays are parallel within their errors, and where they
         come nearest behind a camera.
     """
-    base, axes = in_frame_of(first.site, second.site)
+    base, axes = relative_frame(first.site, second.site)
     for name, view in (("pixel_a", first), ("pixel_b", second)):
         if not np.isfinite(view.direction).all() or view.direction[2] <= 0.0:
             raise InputError(field=name, problem="is not above the horizon", remedy="give a pixel of the sky")

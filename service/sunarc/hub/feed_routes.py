@@ -133,17 +133,17 @@ class FeedReceiver:
         camera, installation, after = sent.camera, sent.installation, sent.after
         self.require_token(camera, sent.token)
         if not _INSTALLATION.fullmatch(installation):
-            raise self._refused(camera, "", Refusal(reason="malformed", text="the installation's id is not a word"))
+            raise self._refuse(camera, "", Refusal(reason="malformed", text="the installation's id is not a word"))
         if sent.revision > head_revision():
             text = f"the imager is at revision {sent.revision}, the hub at {head_revision()}"
-            raise self._refused(camera, installation, Refusal(reason="newer_imager", text=text))
+            raise self._refuse(camera, installation, Refusal(reason="newer_imager", text=text))
         try:
             content = _decompressed(sent.body, MOST_BYTES if large else LARGE_CONTENT_BYTES)
             if content is None and not large:
                 return None
             rows = read_feed_lines(_bounded(content), after=after)
         except InputError as error:
-            raise self._refused(camera, installation, Refusal(reason="malformed", text=str(error))) from None
+            raise self._refuse(camera, installation, Refusal(reason="malformed", text=str(error))) from None
         except _TooLargeError as error:
             raise _error(Refusal(reason="body_too_large", text=str(error))) from None  # see FeedSizes
         batch = FeedBatch(camera=camera, installation=installation, after=after, rows=rows)
@@ -162,10 +162,10 @@ class FeedReceiver:
             return
         if camera not in self._tokens:
             refusal = Refusal(reason="unknown_camera", text=f"nobody registered a camera {camera}")
-            raise self._refused(camera, "", refusal)
+            raise self._refuse(camera, "", refusal)
         # What the request says of itself is not believed: the id would be a stranger's.
         refusal = Refusal(reason="forged_token", text="the token is not one of the camera's, or has expired")
-        raise self._refused(camera, "", refusal)
+        raise self._refuse(camera, "", refusal)
 
     def _has(self, camera: str, own: str, now: datetime) -> bool:
         """Return whether a digest is that of a camera's token that has not ended; read every 10 s, for all at once."""
@@ -193,7 +193,7 @@ class FeedReceiver:
             refusal = Refusal(reason="body_too_large", text="a body was too large; the imager sends it in parts")
             self.archive.feeds.refuse(camera=camera, installation="", refusal=refusal, now=self.now())
 
-    def _refused(self, camera: str, installation: str, refusal: Refusal) -> RefusedError:
+    def _refuse(self, camera: str, installation: str, refusal: Refusal) -> RefusedError:
         self.archive.feeds.refuse(camera=camera, installation=installation, refusal=refusal, now=self.now())
         return _error(refusal)
 
@@ -222,7 +222,7 @@ def feed_routes(receiver: FeedReceiver) -> APIRouter:
         A repetition changes nothing. What is refused, as a whole or one row, is in /v1/quarantine with its reason.
         A sender of whose rows none can be stored is asked to wait (Retry-After), and answered 429 until then.
         """
-        token = _token_of(request)
+        token = _request_token(request)
         await run_in_threadpool(receiver.require_token, camera, token)  # a stranger's body is not read
         wait_s = receiver.wait_s(camera)
         if wait_s:
@@ -267,7 +267,7 @@ def _add_stored_days(routes: APIRouter, receiver: FeedReceiver) -> None:
         At most 32 days and 200,000 rows are read; `until` says how far. One sender at a time is answered, the others
         429.
         """
-        token = _token_of(request)
+        token = _request_token(request)
         await run_in_threadpool(receiver.require_token, camera, token)  # a stranger gets no slot
         if comparing.locked():
             fault = Fault(field="request", problem="another comparison is under way", remedy="try again later")
@@ -279,7 +279,7 @@ def _add_stored_days(routes: APIRouter, receiver: FeedReceiver) -> None:
         return StoredDays(revision=head_revision(), until=found.until, days=found.days)
 
 
-def _token_of(request: Request) -> str:
+def _request_token(request: Request) -> str:
     """Return the token that a request bears; empty without one."""
     scheme, token = get_authorization_scheme_param(request.headers.get("authorization"))
     return token if scheme.lower() == "bearer" else ""

@@ -32,8 +32,8 @@ from sunarc.imager.archive.feed_rows import (
     STATUS,
     FeedRow,
     Refusal,
-    columns_of,
     plain_type,
+    sent_columns,
 )
 from sunarc.imager.runtime.json_fields import descriptions
 
@@ -225,8 +225,8 @@ class _Check(NamedTuple):
 def _checks(kind: str, only_key: bool) -> tuple[_Check, ...]:  # noqa: FBT001
     """Return the checks of each column."""
     if kind == STATUS:
-        return tuple(_Check(name, False, True, rule.fits, _named(rule)) for name, (rule, _) in _STATUS.items())
-    columns = columns_of(kind)
+        return tuple(_Check(name, False, True, rule.fits, _rule_name(rule)) for name, (rule, _) in _STATUS.items())
+    columns = sent_columns(kind)
     made = []
     for name in FED[kind][1] if only_key else columns:
         column, rule = columns[name], _rule(columns[name])
@@ -234,15 +234,15 @@ def _checks(kind: str, only_key: bool) -> tuple[_Check, ...]:  # noqa: FBT001
         required = (
             (only_key and (kind, name) not in SINCE) or column.server_default is None or (kind, name) in _SENT_ALWAYS
         )
-        made.append(_Check(name, required and not column.nullable, bool(column.nullable), rule.fits, _named(rule)))
+        made.append(_Check(name, required and not column.nullable, bool(column.nullable), rule.fits, _rule_name(rule)))
     return tuple(made)
 
 
-def _named(rule: _Rule) -> str:
+def _rule_name(rule: _Rule) -> str:
     return str(rule.schema.get("type", "word of " + ", ".join(map(str, rule.schema.get("enum", ())))))
 
 
-def refusal_of(camera: str, row: FeedRow, now: datetime) -> Refusal | None:
+def refuse_row(camera: str, row: FeedRow, now: datetime) -> Refusal | None:
     """Return why a row is not stored, as far as it says itself."""
     kind = row.kind.removesuffix(REMOVED)
     if row.data is None:
@@ -250,7 +250,7 @@ def refusal_of(camera: str, row: FeedRow, now: datetime) -> Refusal | None:
         return Refusal(reason="body_too_large", text=text)
     if row.kind not in {STATUS, *_KINDS}:
         return Refusal(reason="malformed", text=f"kind {row.kind} is unknown")
-    problem = problem_of(kind, row.data, only_key=row.kind != kind)
+    problem = find_problem(kind, row.data, only_key=row.kind != kind)
     if problem is not None:
         return Refusal(reason="malformed", text=problem)
     if kind == STATUS:
@@ -258,10 +258,10 @@ def refusal_of(camera: str, row: FeedRow, now: datetime) -> Refusal | None:
     named = row.data.get("name" if kind == "camera" else "camera", camera)
     if named != camera and not (kind == "event" and named is None):
         return Refusal(reason="other_camera", text=f"the row is of camera {named}")
-    return _refusal_of_value(kind, row, row.data, now)
+    return _refuse_value(kind, row, row.data, now)
 
 
-def _refusal_of_value(kind: str, row: FeedRow, data: Mapping[str, Any], now: datetime) -> Refusal | None:
+def _refuse_value(kind: str, row: FeedRow, data: Mapping[str, Any], now: datetime) -> Refusal | None:
     try:
         values = typed(kind, data)
     except (ValueError, OverflowError) as error:
@@ -273,10 +273,10 @@ def _refusal_of_value(kind: str, row: FeedRow, data: Mapping[str, Any], now: dat
         return Refusal(reason="future_clock", text=f"dated {dated.isoformat()}, later than now")
     if dated is not None and dated.year < 1970:
         return Refusal(reason="malformed", text=f"dated {dated.isoformat()}, before 1970")
-    return _refusal_of_document(data) if kind == "calibration" else None
+    return _refuse_document(data) if kind == "calibration" else None
 
 
-def _refusal_of_document(data: Mapping[str, Any]) -> Refusal | None:
+def _refuse_document(data: Mapping[str, Any]) -> Refusal | None:
     document = data["document"]
     schema = document.get("schema") if isinstance(document, dict) else None
     if schema not in READ_SCHEMAS:
@@ -288,7 +288,7 @@ def _refusal_of_document(data: Mapping[str, Any]) -> Refusal | None:
     return None
 
 
-def problem_of(kind: str, data: Mapping[str, Any], *, only_key: bool = False) -> str | None:
+def find_problem(kind: str, data: Mapping[str, Any], *, only_key: bool = False) -> str | None:
     """Return the fault in the form of a row that was sent; None without one."""
     if kind == STATUS:
         if len(json.dumps(data)) > MOST_ROW_BYTES[STATUS]:
@@ -327,7 +327,7 @@ def typed(kind: str, data: Mapping[str, Any]) -> dict[str, Any]:
 @cache
 def _conversions(kind: str) -> tuple[tuple[str, str, Callable[[Any], Any]], ...]:
     """Return the columns whose values JSON does not have: name, key and conversion."""
-    found = ((name, column, _conversion(column)) for name, column in columns_of(kind).items())
+    found = ((name, column, _conversion(column)) for name, column in sent_columns(kind).items())
     return tuple((name, column.key, convert) for name, column, convert in found if convert is not None)
 
 
@@ -342,7 +342,7 @@ def _conversion(column: Column[Any]) -> Callable[[Any], Any] | None:
 _CONVERSIONS: Mapping[type, Callable[[Any], Any]] = {
     tables.UtcTime: from_microseconds,
     tables.CalendarDate: date.fromisoformat,
-    tables.FindingText: tables.findings_of_text,
+    tables.FindingText: tables.parse_finding_text,
     tables.FindingTuple: lambda value: tuple(from_json(one) for one in value),
     tables.NumberTuple: tuple,
 }
@@ -358,7 +358,7 @@ def feed_schema(revision: str) -> dict[str, Any]:
     kinds: dict[str, Any] = {}
     parts: dict[str, Any] = {}
     for kind in FED:
-        for column in columns_of(kind).values():
+        for column in sent_columns(kind).values():
             parts |= column.type.schema().get("$defs", {}) if isinstance(column.type, tables.JsonOf) else {}
         kinds[kind] = _object(kind, only_key=False)
         kinds[kind + REMOVED] = _object(kind, only_key=True)
@@ -387,7 +387,7 @@ def feed_schema(revision: str) -> dict[str, Any]:
 
 
 def _object(kind: str, *, only_key: bool) -> dict[str, Any]:
-    columns, checks = columns_of(kind), _checks(kind, only_key)
+    columns, checks = sent_columns(kind), _checks(kind, only_key)
     texts = descriptions(_VALUES[kind]) if kind in _VALUES else {}
     properties = {}
     for check in checks:

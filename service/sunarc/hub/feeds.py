@@ -33,8 +33,8 @@ from sqlalchemy.exc import DataError, DBAPIError, IntegrityError, StatementError
 
 from sunarc.common.errors import InputError, NotFoundError, OutsideError
 from sunarc.common.utc import from_microseconds, utc_time
-from sunarc.hub.feed_schema import FUTURE, LATEST_US, problem_of, refusal_of, typed
-from sunarc.imager.archive.database.connections import is_of_row, json_text
+from sunarc.hub.feed_schema import FUTURE, LATEST_US, find_problem, refuse_row, typed
+from sunarc.imager.archive.database.connections import json_text, refuses_row
 from sunarc.imager.archive.database.store import Database, Part, given, upsert, upsert_all, upsert_records
 from sunarc.imager.archive.database.tables import (
     calibration,
@@ -48,7 +48,7 @@ from sunarc.imager.archive.database.tables import (
     quarantine,
 )
 from sunarc.imager.archive.day_digests import DayDigests, day_digests
-from sunarc.imager.archive.days import night_of_event, row_of_night
+from sunarc.imager.archive.days import event_night, night_columns
 from sunarc.imager.archive.feed_rows import (
     FED,
     REMOVED,
@@ -403,7 +403,7 @@ def _sighting_time(row: FeedRow) -> datetime | None:
 
 def _shown(status: object) -> dict[str, Any] | None:
     """Return a stored status; None of one that would not be stored today: it would take every camera off the page."""
-    if not isinstance(status, dict) or is_deep(status) or problem_of(STATUS, status) is not None:
+    if not isinstance(status, dict) or is_deep(status) or find_problem(STATUS, status) is not None:
         return None
     return status
 
@@ -452,8 +452,8 @@ class _Storing:
         A document that was damaged on the imager is that of the hub, of the same id and checksum: the other columns are
         taken, and both sides agree.
         """
-        refusal = refusal_of(self.batch.camera, row, now)
-        if refusal is None or row.kind != "calibration" or problem_of(row.kind, {**(row.data or {}), "document": {}}):
+        refusal = refuse_row(self.batch.camera, row, now)
+        if refusal is None or row.kind != "calibration" or find_problem(row.kind, {**(row.data or {}), "document": {}}):
             return row, refusal
         whole = {**(row.data or {})}
         same = (calibration.c[name] == whole[name] for name in ("camera", "id", "document_sha256"))
@@ -461,7 +461,7 @@ class _Storing:
         if whole["document"] is None or whole["camera"] != self.batch.camera:
             return row, refusal
         row = replace(row, data=whole)
-        return row, refusal_of(self.batch.camera, row, now)
+        return row, refuse_row(self.batch.camera, row, now)
 
     def _referring(self, kind: str, rows: list[FeedRow]) -> list[FeedRow]:
         """Return the rows that refer to rows of the same camera; set the others apart."""
@@ -505,7 +505,7 @@ class _Storing:
                 _write(self.connection, self.batch.camera, kind, rows)
         except StatementError as error:
             not_allowed = _NOT_ALLOWED in str(error) and not kind.endswith(REMOVED)  # no hub may remove some rows
-            if isinstance(error, DBAPIError) and (not_allowed or not is_of_row(self.connection, error)):
+            if isinstance(error, DBAPIError) and (not_allowed or not refuses_row(self.connection, error)):
                 raise
             if not self.one_by_one:
                 raise _RowError from error
@@ -573,9 +573,9 @@ def _write_events(connection: Connection, camera_name: str, rows: Sequence[dict[
         if connection.scalar(select(c.id).where(*same).limit(1)) is None:
             connection.execute(insert(event).values(values))
             of_night = values["kind"] == "night"
-            found = night_of_event(values["camera"], values["time"], values["details"]) if of_night else None
+            found = event_night(values["camera"], values["time"], values["details"]) if of_night else None
             if found is not None:
-                upsert(connection, night, row_of_night(found), key=["camera", "date"])
+                upsert(connection, night, night_columns(found), key=["camera", "date"])
 
 
 def _set_apart(
@@ -623,11 +623,11 @@ def _note_in_fleet(connection: Connection, batch: FeedBatch, now: datetime) -> N
     """Keep the fleet page's row of a camera, so that the page reads one row of each."""
     changed: dict[str, Any] = {"received_at": now}
     for row in batch.rows:
-        if row.kind == STATUS and row.data is not None and problem_of(STATUS, row.data) is None:
+        if row.kind == STATUS and row.data is not None and find_problem(STATUS, row.data) is None:
             changed |= {"status": dict(row.data), "status_at": now}
     times = [time for time in map(_sighting_time, batch.rows) if time is not None and time <= now + FUTURE]
     if any(row.kind.removesuffix(REMOVED) == "calibration" for row in batch.rows):
-        changed |= _served(connection, batch.camera)
+        changed |= _read_served(connection, batch.camera)
     new = {"camera": batch.camera, "status": {}, **changed}
     if times:
         new["last_sighting_at"], newest = max(times), fleet.c.last_sighting_at
@@ -636,16 +636,16 @@ def _note_in_fleet(connection: Connection, batch: FeedBatch, now: datetime) -> N
     upsert(connection, fleet, new, key=["camera"], changed=changed)
 
 
-def _served(connection: Connection, camera_name: str) -> dict[str, Any]:
+def _read_served(connection: Connection, camera_name: str) -> dict[str, Any]:
     c = calibration.c
     current = select(c.id, c.created_at, c.document).where(c.camera == camera_name, c.state == "current")
     row = connection.execute(current).one_or_none()
     if row is None:
         return {"calibration": None, "calibrated_at": None, "sky_rms_deg": None}
-    return {"calibration": row.id, "calibrated_at": row.created_at, "sky_rms_deg": sky_rms_of(row.document)}
+    return {"calibration": row.id, "calibrated_at": row.created_at, "sky_rms_deg": stated_sky_rms(row.document)}
 
 
-def sky_rms_of(document: object) -> float | None:
+def stated_sky_rms(document: object) -> float | None:
     """Return the 1-sigma over the sky (RMS, degrees) that a stored calibration document states."""
     stated = document.get("uncertainty") if isinstance(document, Mapping) else None
     rms = stated.get("sky_rms_deg") if isinstance(stated, Mapping) else None

@@ -163,13 +163,13 @@ class FleetCollector(Collector):
         """Read the fleet once; where the database does not answer, that and the hub's own numbers are left."""
         yield from service_metrics(self._status())
         try:
-            of_fleet = list(self._of_fleet())
+            of_fleet = list(self._fleet_metrics())
         except OutsideError:
             of_fleet = []
         yield labelled("sunarc_store_up", "1 while the hub's database answers.", (), {(): float(bool(of_fleet))})
         yield from of_fleet
 
-    def _of_fleet(self) -> Iterator[Metric]:
+    def _fleet_metrics(self) -> Iterator[Metric]:
         cameras, now = self._archive.feeds.fleet(), self._now()
         for name, meaning, value_of in _NUMBERS:
             known: Labelled = {(one.camera,): value for one in cameras if (value := value_of(one)) is not None}
@@ -271,7 +271,7 @@ def pair_routes(context: ApiContext) -> APIRouter:
     routes = APIRouter(tags=["directions"])
 
     @routes.post("/v1/pairs/{a}/{b}/height", responses=answers(404, 422))
-    def height_of_pair(a: CameraName, b: CameraName, asked: PairRequest) -> PairAnswer:
+    def measure_pair_height(a: CameraName, b: CameraName, asked: PairRequest) -> PairAnswer:
         """Return the height of a cloud point that two cameras see, with the uncertainty of both calibrations.
 
         422 where the rays are parallel within their errors, or move apart.

@@ -183,21 +183,22 @@ def _shown(check: CrossCheck) -> Iterator[tuple[State, FleetReason]]:
     """Yield the causes that neighbours show of a camera, with size and probability."""
     for cause in check.alarms:
         if cause == "clock_by_clouds":
-            text = f"clock {_measured(check.cloud_clock_s, check.cloud_clock_sigma_s, ' s')} ahead by edges of clouds"
+            ahead = _format_measurement(check.cloud_clock_s, check.cloud_clock_sigma_s, " s")
+            text = f"clock {ahead} ahead by edges of clouds"
         else:
-            clock = _measured(check.clock_s, check.clock_sigma_s, " s")
-            longitude = _measured(check.longitude_deg, check.longitude_sigma_deg, "°")
+            clock = _format_measurement(check.clock_s, check.clock_sigma_s, " s")
+            longitude = _format_measurement(check.longitude_deg, check.longitude_sigma_deg, "°")
             size = {
                 "clock": f"clock {clock} ahead",
                 "longitude": f"longitude stated {longitude} too far east",
-                "north": f"north turned by {_measured(check.north_deg, check.north_sigma_deg, '°')}",
+                "north": f"north turned by {_format_measurement(check.north_deg, check.north_sigma_deg, '°')}",
             }.get(cause, f"{cause.replace('_', ' ')} by {math.hypot(*(check.rotation_deg or ())):.3g}°")
             sure = "" if check.confidence is None else f", probability {check.confidence:.2f}"
             text = f"{size} since {check.since}: by {check.agreeing} neighbours{sure}"
         yield "degraded", FleetReason(code=f"neighbours_{cause}", text=text)
 
 
-def _measured(size: float | None, sigma: float | None, unit: str) -> str:
+def _format_measurement(size: float | None, sigma: float | None, unit: str) -> str:
     return "" if size is None or sigma is None else f"{size:.3g} ± {sigma:.2g}{unit}"
 
 

@@ -26,7 +26,7 @@ from sunarc.imager.runtime.clock import Clock
 from sunarc.imager.runtime.status import StatusRegistry, condition
 from sunarc.imager.workers.options import NightlyOptions
 from sunarc.optics.inverse import unproject
-from sunarc.sky.days import date_of_day, day_bounds_unix_s, solar_date, solar_days
+from sunarc.sky.days import day_bounds_unix_s, day_to_date, solar_date, solar_days
 from sunarc.sky.directions import wrapped_deg
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_directions
@@ -96,7 +96,7 @@ class _Reading:
     def stated_sites(self, camera: CameraRecord, unix_s: FloatArray) -> list[Site]:
         """Return the site as it was stated at each time: by the calibrations until the newest, then by the camera."""
         made = sorted(self.archive.calibrations.find(camera.name), key=lambda record: record.created_at)
-        sites = [*(_site_of(record, camera.site) for record in made), camera.site]
+        sites = [*(_document_site(record, camera.site) for record in made), camera.site]
         since = [record.created_at.timestamp() for record in (*made[1:], *made[-1:])]
         return [sites[index] for index in np.searchsorted(since, unix_s, side="right").tolist()]
 
@@ -123,7 +123,7 @@ class _Reading:
     def _series(self, camera: CameraRecord) -> tuple[IntArray, SunSeries]:
         """Return when a camera looked for the sun, and whether a cycle showed it, with the days."""
         since = self.now - timedelta(days=_CLOUD_DAYS)
-        times = self.archive.sightings.observation_times(camera.name, since=since, until=self.now)
+        times = self.archive.sightings.exposure_times(camera.name, since=since, until=self.now)
         times = np.sort(np.zeros(0) if times is None else times)
         accepted = self.archive.sightings.columns(camera.name, since=since, until=self.now).unix_s
         begins = np.flatnonzero(np.diff(times, prepend=-np.inf) > _CYCLE_S)
@@ -147,7 +147,7 @@ def _on_day(series: SunSeries, of_day: np.ndarray[tuple[int], np.dtype[np.bool_]
     return SunSeries(unix_s=series.unix_s[of_day], seen=series.seen[of_day])
 
 
-def _site_of(record: CalibrationRecord, otherwise: Site) -> Site:
+def _document_site(record: CalibrationRecord, otherwise: Site) -> Site:
     """Return the site that a calibration's document states."""
     site: Any = record.document.get("site")
     try:
@@ -204,7 +204,7 @@ def _step_fields(reading: _Reading, camera: CameraRecord, step: PoseChange) -> d
     days = reading.rotations(camera).day
     last = days[max(int(np.searchsorted(days, step.time)) - 1, 0)]
     noons_s = [
-        sum(day_bounds_unix_s(date_of_day(int(day)), longitude=camera.longitude)) / 2 for day in (last, step.time)
+        sum(day_bounds_unix_s(day_to_date(int(day)), longitude=camera.longitude)) / 2 for day in (last, step.time)
     ]
     before, after = reading.stated_sites(camera, np.array(noons_s))
     change, confidence = explain_step(step, before=before, after=after)
@@ -212,7 +212,7 @@ def _step_fields(reading: _Reading, camera: CameraRecord, step: PoseChange) -> d
     return step_sizes(change, before) | {
         "cause": change.cause,
         "confidence": confidence,
-        "since": date_of_day(int(change.time)),
+        "since": day_to_date(int(change.time)),
         "rotation_deg": tuple(change.rotation_deg.tolist()),
         "rotation_sigma_deg": tuple(sigma.tolist()),
     }

@@ -13,7 +13,7 @@ from sqlalchemy import BigInteger, Connection, Row, and_, bindparam, case, delet
 
 from sunarc.changes.values import FleetCause
 from sunarc.common.utc import to_microseconds, utc_time
-from sunarc.hub.feeds import sky_rms_of
+from sunarc.hub.feeds import stated_sky_rms
 from sunarc.imager.archive.database.store import Part, given, upsert
 from sunarc.imager.archive.database.tables import calibration, camera, day, day_summary, event, nightly_run, sun_point
 from sunarc.imager.archive.day_digests import LEAST_KEPT
@@ -263,7 +263,7 @@ def _summary(connection: Connection, judged: Row[Any, Any, Any, Any, Any, Any]) 
         "decided_at": judged.decided_at,
         "n_warnings": connection.scalar(warnings) or 0,
         "calibration": None if answering is None else answering.id,
-        "sky_rms_deg": None if answering is None else sky_rms_of(answering.document),
+        "sky_rms_deg": None if answering is None else stated_sky_rms(answering.document),
         "pose_offset_deg": None if offset is None else math.hypot(*offset),
     }
 

@@ -21,7 +21,7 @@ from sunarc.hub.fleet_states import FleetMember, members
 from sunarc.hub.nightly import NightlyWork, nightly_jobs
 from sunarc.imager.app.pushing import push_workers
 from sunarc.imager.app.service import hub_recording
-from sunarc.imager.app.serving import LOOP_STALE_S, new_server, running, stop_on_signals, supervised, with_credentials
+from sunarc.imager.app.serving import LOOP_STALE_S, load_credentials, new_server, running, stop_on_signals, supervised
 from sunarc.imager.archive.notices import CameraState
 from sunarc.imager.runtime.clock import SystemClock
 from sunarc.imager.runtime.daily_job import Schedule
@@ -60,7 +60,7 @@ def _serve_at(listening: socket.socket, archive: HubArchive, settings: HubSettin
     clock = SystemClock()
     board = StatusRegistry(version=sunarc.__version__, started_at=clock.now(), monotonic=clock.monotonic)
     notifier = notifier_from(os.environ)
-    options = with_credentials(settings.api)
+    options = load_credentials(settings.api)
     app = create_hub_app(
         archive=archive, status=board.snapshot, now=clock.now, options=options, stopping=lambda: server.should_exit
     )

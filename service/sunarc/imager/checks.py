@@ -28,7 +28,7 @@ from sunarc.common.utc import utc_time
 from sunarc.imager.app.cameras import camera_opener, require_stored_site
 from sunarc.imager.app.pushing import receivers
 from sunarc.imager.app.service import night_capture
-from sunarc.imager.app.serving import with_credentials
+from sunarc.imager.app.serving import load_credentials
 from sunarc.imager.archive.archive import Archive, open_archive
 from sunarc.imager.archive.database.backup import newest_sound_copy
 from sunarc.imager.archive.database.schema import check, head_revision
@@ -40,7 +40,7 @@ from sunarc.imager.cameras.options import AravisOptions, FolderOptions
 from sunarc.imager.commands.first_look import TriedPicture, judge_site, look_for_sun, small_picture, try_pictures
 from sunarc.imager.live.folder_conditions import time_rules
 from sunarc.imager.live.folder_files import is_image
-from sunarc.imager.live.rtsp import client_of
+from sunarc.imager.live.rtsp import make_client
 from sunarc.imager.runtime.clock import Clock, SystemClock, host_clock_state
 from sunarc.imager.runtime.host import listen, prepare_state
 from sunarc.imager.settings.model import Settings
@@ -50,7 +50,7 @@ from sunarc.imager.workers.calibrating.provisional_pose import FirstPose
 from sunarc.imager.workers.hub_connection import HubConnection, HubRefusal
 from sunarc.imager.workers.push import Sink
 from sunarc.sky.site import Site
-from sunarc.sources.image_files import image_of
+from sunarc.sources.image_files import read_one_image
 from sunarc.sources.sources import Folder, open_source
 
 # Checks of a camera: abilities, stream, exposures, and a few trial frames.
@@ -165,13 +165,13 @@ def run_checks(settings: Settings, *, clock: Clock) -> Iterator[CheckResult]:
     """Run all checks; the results are the output of `sunarc check`."""
     running = _running(settings)
     yield CheckResult("settings", "ok", f"camera {settings.name!r}, state in {settings.state}")
-    yield _checked("versions", _versions)
+    yield _run_check("versions", _versions)
     with as_owner(settings.state):
-        yield _checked("state folder", lambda: _state(settings))
-        yield _checked("database", lambda: _database(settings))
-        yield _checked("backups", lambda: _backups(settings, clock))
-    yield _checked("port", lambda: _port(settings, running))
-    yield _checked("clock", check_clock)
+        yield _run_check("state folder", lambda: _state(settings))
+        yield _run_check("database", lambda: _database(settings))
+        yield _run_check("backups", lambda: _backups(settings, clock))
+    yield _run_check("port", lambda: _port(settings, running))
+    yield _run_check("clock", check_clock)
     with as_owner(settings.state):
         yield from _optional(settings, clock)
     if settings.source == "folder" and settings.folder is not None:
@@ -179,9 +179,9 @@ def run_checks(settings: Settings, *, clock: Clock) -> Iterator[CheckResult]:
             yield from (CheckResult(*tried[:3]) for tried in _pictures(settings.folder, settings.place, None))
     elif settings.source in {"http", "rtsp"}:
         with as_owner(settings.state):
-            yield _checked(f"picture at {settings.source}.url", lambda: _snapshot(settings, None)[:2])
+            yield _run_check(f"picture at {settings.source}.url", lambda: _snapshot(settings, None)[:2])
     else:
-        yield _checked("camera", lambda: _camera(settings, clock) if running is None else _camera_in_use(running))
+        yield _run_check("camera", lambda: _camera(settings, clock) if running is None else _camera_in_use(running))
 
 
 def run_camera_checks(settings: Settings, *, clock: Clock) -> Iterator[CheckResult]:
@@ -212,7 +212,7 @@ _QUESTIONS = {
 """The options of `sunarc init` that answer the complaints of a check."""
 
 
-def question_of(result: CheckResult | TriedResult) -> str | None:
+def init_option(result: CheckResult | TriedResult) -> str | None:
     """Return the option of `sunarc init` that answers a complaint; None without one, and without a complaint."""
     return None if result.outcome == "ok" else _QUESTIONS.get(result.what)
 
@@ -239,9 +239,9 @@ def try_first(settings: Settings, *, addresses: Sequence[str], picture: Path) ->
             codes.extend([code] if code else [])
             return outcome, text
 
-        yield TriedResult(*_checked(f"picture at {settings.source}.url", try_it), codes=tuple(codes))
-    yield TriedResult(*_checked("clock", check_clock))
-    yield TriedResult(*_checked("disk", lambda: _room_for(settings.state)))
+        yield TriedResult(*_run_check(f"picture at {settings.source}.url", try_it), codes=tuple(codes))
+    yield TriedResult(*_run_check("clock", check_clock))
+    yield TriedResult(*_run_check("disk", lambda: _room_for(settings.state)))
 
 
 def _cameras_that_answer(settings: Settings, addresses: Sequence[str], clock: Clock) -> Iterator[CheckResult]:
@@ -250,12 +250,12 @@ def _cameras_that_answer(settings: Settings, addresses: Sequence[str], clock: Cl
     if options is None:
         return
     for address in dict.fromkeys((options.address, *addresses)):
-        result = _checked("camera", partial(_identified, replace(options, address=address), clock))
+        result = _run_check("camera", partial(_identify_camera, replace(options, address=address), clock))
         own = address == options.address
         yield result if own or result.outcome == "ok" else result._replace(outcome="warn")
 
 
-def _identified(options: AravisOptions, clock: Clock) -> tuple[Outcome, str]:
+def _identify_camera(options: AravisOptions, clock: Clock) -> tuple[Outcome, str]:
     with closing(open_aravis(options, clock)) as camera:
         found = _identity(camera)
     return found.outcome, found.text
@@ -305,13 +305,13 @@ def _snapshot(settings: Settings, shown: Path | None) -> tuple[Outcome, str, str
     options = settings.rtsp if settings.source == "rtsp" else settings.http
     if options is None:
         return "fail", f"setting {settings.source} is missing", ""
-    found = client_of(options, SystemClock(), dated_by_camera=settings.dated_by_camera).picture()
+    found = make_client(options, SystemClock(), dated_by_camera=settings.dated_by_camera).picture()
     if isinstance(found, Finding):
         return "fail", f"{found.sentence} [{found.code}]", found.code
     with tempfile.TemporaryDirectory() as place:
         name = f"picture.{found.suffix}"
         (Path(place) / name).write_bytes(found.content)
-        image = image_of(Folder(name_text(place)), name)
+        image = read_one_image(Folder(name_text(place)), name)
     if isinstance(image, Finding):
         return "fail", f"{image.sentence} [{image.code}]", image.code
     rule = "its Last-Modified" if settings.dated_by_camera else "this host's clock"
@@ -351,18 +351,18 @@ def _room_for(state: Path) -> tuple[Outcome, str]:
 
 def _optional(settings: Settings, clock: Clock) -> Iterator[CheckResult]:
     """Try the parts that the settings enable, as `serve` does; disabled parts give no result."""
-    access = with_credentials(settings.api)
+    access = load_credentials(settings.api)
     for name, path in (("token_file", access.token_file), ("read_token_file", access.read_token_file)):
         if path is not None:
-            yield _checked(f"api.{name}", partial(_token, path, f"api.{name}"))
+            yield _run_check(f"api.{name}", partial(_token, path, f"api.{name}"))
     if settings.first_pose.lens_prior is not None:
-        yield _checked("lens prior", lambda: _done(FirstPose.of(settings.first_pose), "read"))
+        yield _run_check("lens prior", lambda: _done(FirstPose.of(settings.first_pose), "read"))
     if settings.night.enabled:
-        yield _checked("night", lambda: _done(night_capture(settings.night, lambda _: settings.place), "possible"))
+        yield _run_check("night", lambda: _done(night_capture(settings.night, lambda _: settings.place), "possible"))
     if settings.hub.url is not None:
-        yield _checked("hub", lambda: _hub(settings))
+        yield _run_check("hub", lambda: _hub(settings))
     for sink in receivers(settings.push, states=dict, clock=clock, client=settings.name):
-        yield _checked(sink.name, partial(_receiver, sink))
+        yield _run_check(sink.name, partial(_receiver, sink))
 
 
 def _done(_result: object, text: str) -> tuple[Outcome, str]:
@@ -434,7 +434,7 @@ def _within(call: Callable[[], object]) -> None:
         raise ended[0]
 
 
-def _checked(what: str, check_it: Callable[[], tuple[Outcome, str]]) -> CheckResult:
+def _run_check(what: str, check_it: Callable[[], tuple[Outcome, str]]) -> CheckResult:
     try:
         outcome, text = check_it()
     except errors.SunarcError as error:

@@ -94,7 +94,7 @@ def _pair(shorter: Exposed, longer: Exposed) -> _Pair:
     return _Pair(
         short=shorter.image.ravel(),
         long=long,
-        dark=_thinned(np.flatnonzero(long <= level)),
+        dark=_thin_indices(np.flatnonzero(long <= level)),
         histogram=histogram,
         full_scale=longer.full_scale,
         ratio=shorter.exposure_us / longer.exposure_us,
@@ -120,7 +120,7 @@ def _beyond_full_scale(pair: _Pair) -> float | None:
     level = int(_SATURATED * pair.full_scale)
     if pair.histogram[level:].sum() < _MUCH_SATURATED * pair.long.size:
         return None
-    levels = np.sort(pair.short[_thinned(np.flatnonzero(pair.long >= level))].astype(np.float64))
+    levels = np.sort(pair.short[_thin_indices(np.flatnonzero(pair.long >= level))].astype(np.float64))
     levels = levels[levels.size // 10 : levels.size // 2]  # without the sun and its surroundings
     black_long, black_short = float(pair.long[pair.dark].mean()), float(pair.short[pair.dark].mean())
     if black_long > _CEILING * pair.full_scale:
@@ -135,7 +135,7 @@ def _brightest(pair: _Pair) -> IntArray:
     ceiling = int(_CEILING * pair.full_scale)
     n_brightest = max(_LEAST_BRIGHT_PX, pair.long.size // 2000)
     level = ceiling - 1 - int(np.searchsorted(np.cumsum(pair.histogram[:ceiling][::-1]), n_brightest))
-    return _thinned(np.flatnonzero((pair.long >= max(level, 0)) & (pair.long < ceiling)))
+    return _thin_indices(np.flatnonzero((pair.long >= max(level, 0)) & (pair.long < ceiling)))
 
 
 def _beside(indices: IntArray, pair: _Pair) -> IntArray:
@@ -144,7 +144,7 @@ def _beside(indices: IntArray, pair: _Pair) -> IntArray:
     return beside[pair.long[beside] < _CEILING * pair.full_scale]
 
 
-def _thinned(indices: IntArray) -> IntArray:
+def _thin_indices(indices: IntArray) -> IntArray:
     return indices[:: 1 + indices.size // _MOST_PX]
 
 
@@ -190,7 +190,7 @@ class Level:
     full_scale: int
 
 
-def level_of(frames: Sequence[Exposed]) -> Level:
+def measure_level(frames: Sequence[Exposed]) -> Level:
     """Return how bright the frames of a cycle are; at least one, all of one shape."""
     ordered = sorted(frames, key=lambda frame: frame.exposure_us)
     return Level(

@@ -66,7 +66,7 @@ class Obstructions(NamedTuple):
     horizon: HorizonProfile
 
 
-def obstructions_of(sums: ObstructionSums, grid: CellGrid, *, sigma_deg: float = 0.0) -> Obstructions:
+def find_obstructions(sums: ObstructionSums, grid: CellGrid, *, sigma_deg: float = 0.0) -> Obstructions:
     """Return the mask and the horizon of the evidence; `sigma_deg`: see `horizon_profile`, NaN counts as 0."""
     mask = obstruction_mask(sums, grid)
     return Obstructions(mask, horizon_profile(mask, sigma_deg=0.0 if math.isnan(sigma_deg) else sigma_deg))

@@ -48,7 +48,7 @@ def jpeg_with(jpeg: bytes, document: Mapping[str, Any]) -> bytes:
     return jpeg[:start] + struct.pack(">BBH", 0xFF, _COMMENT, len(comment) + 2) + comment + jpeg[start:]
 
 
-def document_of(encoded: bytes) -> dict[str, Any] | None:
+def embedded_document(encoded: bytes) -> dict[str, Any] | None:
     """Return the document that an image file carries; None where it carries none that is whole."""
     try:
         texts = _png_texts(encoded) if encoded.startswith(_PNG) else _jpeg_comments(encoded)

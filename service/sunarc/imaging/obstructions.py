@@ -205,25 +205,25 @@ def updated_sums(
         raise InputError(field="image", problem=problem, remedy="give images of the calibrated camera")
     elapsed_s = unix_s - sums.unix_s
     if not elapsed_s > 0.0:
-        return _counted(sums, "earlier")
+        return _count_use(sums, "earlier")
     counts = _reduced(image, grid.shape)
     light = _log_light(counts, gamma=_GAMMA if image.dtype == np.uint8 else 1.0)
     coarse = _cells(cv2.resize(light, (64, 64), interpolation=cv2.INTER_AREA))
     unusable = _unusable(counts, coarse, sums, grid)
     kept = replace(sums, last=coarse, unix_s=unix_s)
     if unusable is not None:
-        return _counted(kept, unusable)
+        return _count_use(kept, unusable)
     texture = _fine(light, counts) * grid.inner
     vote = min(elapsed_s, _VOTE_S) / _VOTE_S
     if _is_other_scene(texture, sums, grid):
         other_s = sums.other_s + min(elapsed_s, 3600.0)
         if other_s > _OTHER_SCENE_S:
-            return _counted(replace(no_sums(grid), last=coarse, unix_s=unix_s, counts=sums.counts), "other_scene")
-        return _counted(replace(kept, other_s=other_s), "other_scene")
+            return _count_use(replace(no_sums(grid), last=coarse, unix_s=unix_s, counts=sums.counts), "other_scene")
+        return _count_use(replace(kept, other_s=other_s), "other_scene")
     return _voted(kept, _CellImage(counts, light, texture), grid, sun=sun, vote=vote, sun_seen=sun_seen)
 
 
-def with_stars(sums: ObstructionSums, grid: CellGrid, *, named: FloatArray, missed: FloatArray) -> ObstructionSums:
+def add_star_votes(sums: ObstructionSums, grid: CellGrid, *, named: FloatArray, missed: FloatArray) -> ObstructionSums:
     """Return the evidence with a night's: a cell votes once.
 
     Parameters
@@ -244,7 +244,7 @@ def with_stars(sums: ObstructionSums, grid: CellGrid, *, named: FloatArray, miss
 
 
 def _marked(grid: CellGrid, directions: FloatArray) -> NDArray[np.uint8]:
-    (row, column), seen = _cells_of(grid, directions)
+    (row, column), seen = _find_cells(grid, directions)
     marked = np.zeros(grid.shape, dtype=np.uint8)
     marked[row[seen], column[seen]] = 1
     return marked
@@ -258,7 +258,7 @@ class _CellImage(NamedTuple):
     texture: Cells
 
 
-def _counted(sums: ObstructionSums, use: str) -> ObstructionSums:
+def _count_use(sums: ObstructionSums, use: str) -> ObstructionSums:
     return replace(sums, counts={**sums.counts, use: sums.counts.get(use, 0) + 1})
 
 
@@ -342,7 +342,7 @@ def _voted(
         seen_s=sums.unix_s if seen else sums.seen_s,
         other_s=0.0,
     )
-    return _counted(found, "clear" if clear else "cloudy")
+    return _count_use(found, "clear" if clear else "cloudy")
 
 
 def _weighted(weights: FloatArray, planes: Cells) -> Cells:
@@ -425,12 +425,12 @@ class ObstructionMask:
 
     def hides(self, directions: FloatArray) -> BoolArray:
         """Return (...): which directions (..., 3), east-north-up, are surely behind an obstruction or dirt."""
-        cells, seen = _cells_of(self.grid, directions.reshape(-1, 3))
+        cells, seen = _find_cells(self.grid, directions.reshape(-1, 3))
         hidden = seen & np.isin(self.state[cells], (HIDDEN, SOILED))
         return np.asarray(hidden).reshape(directions.shape[:-1])
 
 
-def _cells_of(grid: CellGrid, directions: FloatArray) -> tuple[tuple[IntArray, IntArray], BoolArray]:
+def _find_cells(grid: CellGrid, directions: FloatArray) -> tuple[tuple[IntArray, IntArray], BoolArray]:
     """Return rows and columns (n,) of the cells that directions (n, 3) are in, and whether the camera sees these."""
     at = project_fast(grid.camera, directions)
     seen = camera_sees(grid.camera, at)

@@ -41,7 +41,7 @@ def repeated_rows(image: Image) -> int:
     return longest + 1 if longest >= max(_FEWEST_ROWS, _ROWS_SHARE * len(values)) else 0
 
 
-def missing_levels(image: Image) -> int:
+def count_missing_levels(image: Image) -> int:
     """Return the number of levels of an image's full scale, where its steps are 32 or fewer; 0 for a sound image.
 
     Parameters

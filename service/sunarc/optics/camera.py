@@ -125,7 +125,7 @@ class Camera:
             ]
         )
 
-    def with_parameters(self, vector: ArrayLike) -> Camera:
+    def replace_parameters(self, vector: ArrayLike) -> Camera:
         """Return this camera with the 23 parameters of `vector`."""
         v = np.asarray(vector, dtype=np.float64).tolist()
         if len(v) != len(PARAMETER_NAMES):

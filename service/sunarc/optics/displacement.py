@@ -59,7 +59,7 @@ class Displacement:
         """Return (n, 2): the displacement of pixels (n, 2) of the lens alone, px; NaN for NaN."""
         return _kernels.displacement_at(*_box_and_coefficients(self), np.ascontiguousarray(pixels, dtype=np.float64))
 
-    def with_slopes(self, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def value_and_slopes(self, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the displacement as `at` does, and its derivatives by the pixel (n, 2, 2), last axis the pixel's."""
         pixel = np.ascontiguousarray(pixels, dtype=np.float64)
         return _kernels.displacement_and_slopes(*_box_and_coefficients(self), pixel)
@@ -127,7 +127,7 @@ class WaveBasis:
     def completed(self, *, length_px: float) -> WaveBasis:
         """Return this basis with all the waves on its box that a field of this length needs."""
         reach = _REACH / length_px
-        return WaveBasis(center_px=self.center_px, half_px=self.half_px, orders=_orders(self.half_px, reach))
+        return WaveBasis(center_px=self.center_px, half_px=self.half_px, orders=_wave_orders(self.half_px, reach))
 
     @classmethod
     def of(cls, displacement: Displacement) -> WaveBasis:
@@ -155,7 +155,7 @@ class WaveBasis:
             result[..., new] = terms[..., old]
         return result
 
-    def coefficients_of(self, displacement: Displacement | None) -> FloatArray:
+    def fit_coefficients(self, displacement: Displacement | None) -> FloatArray:
         """Return (2, m): the coefficients of a displacement on the same box in this basis; 0 without one."""
         if displacement is None:
             return np.zeros((2, len(self.orders)))
@@ -172,11 +172,11 @@ def wave_basis(*, width: int, height: int, shortest_px: float, longest_px: float
     """
     half = tuple(0.5 * size + _MARGIN_LENGTHS * longest_px for size in (width, height))
     box = (half[0], half[1])
-    orders = _orders(box, _REACH / shortest_px)
+    orders = _wave_orders(box, _REACH / shortest_px)
     return WaveBasis(center_px=((width - 1) / 2.0, (height - 1) / 2.0), half_px=box, orders=orders)
 
 
-def _orders(half_px: tuple[float, float], reach: float) -> IntArray:
+def _wave_orders(half_px: tuple[float, float], reach: float) -> IntArray:
     """Return the orders of all waves on a box whose frequency is at most `reach`."""
     # a half wave on a box of half-width h has the frequency pi / 2h
     number = [math.ceil(2.0 * h * reach / math.pi) for h in half_px]

@@ -82,7 +82,7 @@ def project_with_rows_fast(camera: Camera, direction_enu: FloatArray) -> tuple[F
     vector, optics = camera.to_vector(), kernel_optics(camera)
     pixels, rows = _kernels.pixels_and_rows_of(vector, *optics, rotation, jacobian, directions)
     if camera.displacement is not None:
-        shift, slopes = camera.displacement.with_slopes(pixels)
+        shift, slopes = camera.displacement.value_and_slopes(pixels)
         pixels, rows = pixels + shift, rows + slopes @ rows
     return pixels, rows
 
@@ -90,10 +90,10 @@ def project_with_rows_fast(camera: Camera, direction_enu: FloatArray) -> tuple[F
 def kernel_optics(camera: Camera) -> Optics:
     """Return projection, mirror and largest angle as the kernels take them; the displacement does not count."""
     limit = min(camera.max_angle, math.nextafter(angle_limit(camera.projection), 0.0))
-    return Optics(PROJECTIONS[camera.projection].code, mirror_of(camera), limit)
+    return Optics(PROJECTIONS[camera.projection].code, mirror_offset(camera), limit)
 
 
-def mirror_of(camera: Camera) -> float:
+def mirror_offset(camera: Camera) -> float:
     """Return width - 1 of a mirrored image, -1 of another: the number from which the kernels subtract x."""
     return camera.width - 1.0 if camera.mirrored else -1.0
 

@@ -13,7 +13,7 @@ from sunarc import _kernels
 from sunarc.common.array_types import FloatArray
 from sunarc.optics.camera import Camera
 from sunarc.optics.displacement import Displacement
-from sunarc.optics.forward import decentering_shift, distorted_radius, mirror_of, radius_slope, rising_limit
+from sunarc.optics.forward import decentering_shift, distorted_radius, mirror_offset, radius_slope, rising_limit
 from sunarc.optics.inverse import largest_angle, unproject
 from sunarc.optics.pose import rotation_matrix
 
@@ -165,7 +165,7 @@ def inverse_table(camera: Camera) -> InverseTable:
         1.0 / camera.focal_length_px[1],
         camera.skew_px,
         *camera.principal_point_px,
-        mirror_of(camera),
+        mirror_offset(camera),
         p1,
         p2,
         p3,

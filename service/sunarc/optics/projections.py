@@ -58,7 +58,7 @@ def angle_limit(projection: Projection) -> float:
 
 def ideal_radius(projection: Projection, theta: ArrayLike) -> FloatArray:
     """Return g0(theta), in focal lengths; meaningful up to `angle_limit`."""
-    return radius_of_shape(PROJECTIONS[projection].shape, theta)
+    return shape_radius(PROJECTIONS[projection].shape, theta)
 
 
 def ideal_slope(projection: Projection, theta: ArrayLike) -> FloatArray:
@@ -71,11 +71,11 @@ def ideal_slope(projection: Projection, theta: ArrayLike) -> FloatArray:
 
 def ideal_angle(projection: Projection, radius: ArrayLike) -> FloatArray:
     """Return the angle in radians whose g0 is `radius`; NaN where none has it."""
-    angle = angle_of_shape(PROJECTIONS[projection].shape, radius)
+    angle = shape_angle(PROJECTIONS[projection].shape, radius)
     return np.where(angle <= math.pi, angle, np.nan)
 
 
-def radius_of_shape(shape: float, theta: ArrayLike) -> FloatArray:
+def shape_radius(shape: float, theta: ArrayLike) -> FloatArray:
     """Return the radius, in focal lengths, at angles off the axis (rad) of a lens of any shape."""
     angle = np.asarray(theta, dtype=np.float64)
     if abs(shape) < _LINEAR:
@@ -83,7 +83,7 @@ def radius_of_shape(shape: float, theta: ArrayLike) -> FloatArray:
     return np.asarray((np.tan if shape > 0.0 else np.sin)(shape * angle) / shape)
 
 
-def angle_of_shape(shape: float, radius: ArrayLike) -> FloatArray:
+def shape_angle(shape: float, radius: ArrayLike) -> FloatArray:
     """Return the angle off the axis (rad) at radii in focal lengths of a lens of any shape; NaN beyond its end."""
     r = np.asarray(radius, dtype=np.float64)
     if abs(shape) < _LINEAR:

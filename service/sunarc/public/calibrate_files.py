@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import sunarc
-from sunarc.calibration.lens_library.joint import Entry, Unit, calibrate_jointly, lens_type_of
+from sunarc.calibration.lens_library.joint import Entry, Unit, calibrate_jointly, estimate_lens_type
 from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.stated_prior import PriorTolerances
-from sunarc.calibration.verdict import with_clock
+from sunarc.calibration.verdict import add_stated_clock
 from sunarc.common.errors import InputError
 from sunarc.common.extras import extra_module
 from sunarc.common.json_text import json_text
@@ -52,7 +52,7 @@ def combined_lens(documents: Sequence[dict[str, Any]], files: Sequence[Path], *,
                 field=unit.camera, problem="two calibrations of one camera", remedy="name its best one, or fit --joint"
             )
         units[unit.camera] = unit
-    return lens_type_of(list(units.values()), spread=spread)
+    return estimate_lens_type(list(units.values()), spread=spread)
 
 
 def _unit(document: dict[str, Any]) -> Unit:
@@ -132,7 +132,7 @@ def read_start(path: Path) -> StatedStart:
     return StatedStart(path.name, view, view.calibration)
 
 
-def image_circle_of(text: str) -> ImageCircle:
+def parse_image_circle(text: str) -> ImageCircle:
     """Return the image circle that X,Y,RADIUS names, or that a normal daytime image shows (Hough transform)."""
     try:
         x, y, radius = (float(part) for part in text.split(","))
@@ -189,7 +189,7 @@ def calibrate_joint(path: Path, *, folder: Path, now: datetime) -> list[dict[str
     documents = []
     folder.mkdir(parents=True, exist_ok=True)
     for entry, clock_error_s, solved in zip(spec.entries, spec.clock_errors_s, joint.calibrations, strict=True):
-        stated = with_clock(solved, clock_error_s)
+        stated = add_stated_clock(solved, clock_error_s)
         document = new_document(
             stated, entry.points.unix_s, created_at=now, camera=entry.camera, pose_epoch=entry.epoch
         )

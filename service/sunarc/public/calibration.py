@@ -12,7 +12,7 @@ import numpy as np
 from sunarc.calibration.answers.cloud_positions import HIGHEST_CLOUD_M, cloud_positions
 from sunarc.calibration.answers.direction_table import Lookup, back_projection_map, lookup
 from sunarc.calibration.answers.error_model import Ensemble, draw_ensemble
-from sunarc.calibration.answers.residuals import Residuals, residuals_of
+from sunarc.calibration.answers.residuals import Residuals, compute_residuals
 from sunarc.calibration.model.result import Calibration as Solved
 from sunarc.common.array_types import FloatArray
 from sunarc.common.errors import InputError, disk_errors
@@ -27,7 +27,7 @@ from sunarc.optics.camera import inside_image
 from sunarc.public.calibration_files import read_view_file, write_exports
 from sunarc.public.inputs import Asked, Times, Values, asked, named_as_in_python, number, one_time
 from sunarc.public.stated_fit import StatedStart
-from sunarc.public.summary import calibration_text, verdict_of
+from sunarc.public.summary import calibration_text, summarize_verdict
 from sunarc.public.values import (
     CloudPositions,
     Directions,
@@ -35,7 +35,7 @@ from sunarc.public.values import (
     Sightings,
     Site,
     StrPath,
-    site_of,
+    notebook_site,
 )
 from sunarc.sky.directions import angles_from_direction, direction_from_angles, unit_vectors
 from sunarc.sky.sun import sun_directions
@@ -82,7 +82,7 @@ class Calibration:
     @property
     def verdict(self) -> str:
         """`accepted`, `provisional`, `marginal` or `refused`; `unstated` of another program's format."""
-        return "unstated" if self._document is None else verdict_of(self._document)
+        return "unstated" if self._document is None else summarize_verdict(self._document)
 
     @property
     def accepted(self) -> bool:
@@ -112,7 +112,7 @@ class Calibration:
     @property
     def site(self) -> Site | None:
         """Site of the camera; None where its format states none."""
-        return None if self._solved is None else site_of(self._solved.site)
+        return None if self._solved is None else notebook_site(self._solved.site)
 
     def __str__(self) -> str:
         if self._document is None:
@@ -151,7 +151,7 @@ class Calibration:
         self._require_answers(accept_refused=accept_refused)
         pixels = asked(x_px=x_px, y_px=y_px)
         if self._solved is None:
-            rows = _rows_of_view(self.view, pixels.rows)
+            rows = _view_rows(self.view, pixels.rows)
         else:
             rows = np.asarray(self._ready.back_project(np.ascontiguousarray(pixels.rows)), dtype=np.float64)
         return Directions(
@@ -421,7 +421,7 @@ class Calibration:
     def _residuals(self, solved: Solved, sightings: Sightings | None) -> Residuals | None:
         """Return the residuals of sightings, or of those of the fit; None without sightings."""
         given = self._sightings if sightings is None else sightings
-        return None if given is None else residuals_of(solved, given.at(site_of(solved.site)))
+        return None if given is None else compute_residuals(solved, given.at(notebook_site(solved.site)))
 
     def _require_solved(self, wanted: str) -> Solved:
         return self._refuse_format(wanted) if self._solved is None else self._solved
@@ -560,7 +560,7 @@ def _directions(angles: Asked) -> FloatArray:
     return unit_vectors(direction_from_angles(zenith_deg=angles.rows[:, 0], azimuth_deg=angles.rows[:, 1]))
 
 
-def _rows_of_view(view: View, pixels: FloatArray) -> FloatArray:
+def _view_rows(view: View, pixels: FloatArray) -> FloatArray:
     """Return (n, 7) as `Lookup.back_project` does, of a camera that states no uncertainty."""
     directions = view.unproject(pixels)
     angles = np.stack(angles_from_direction(directions), axis=-1)

@@ -24,11 +24,11 @@ from sunarc.formats.asi_core import asi_core_set
 from sunarc.formats.calibration_document import from_document
 from sunarc.formats.csv_files import read_pairs, write_columns
 from sunarc.formats.exported import Exported, Table, Variable
-from sunarc.formats.formats import export_draws, format_of, read_view
+from sunarc.formats.formats import export_draws, find_format, read_view
 from sunarc.formats.remap import Grid, grid_directions, reach_m, remap_tables, remapped
 from sunarc.formats.tables import MAP_FORMATS, netcdf_bytes, npz_bytes
 from sunarc.formats.view import ZENITH_RANGES_DEG, Comparison, View, compare
-from sunarc.imaging.metadata import document_of
+from sunarc.imaging.metadata import embedded_document
 from sunarc.imaging.preview import demosaiced
 from sunarc.sky.directions import angles_from_direction, direction_from_angles, unit_vectors
 from sunarc.sources.files import read_file, read_image
@@ -100,7 +100,7 @@ def read_view_file(path: Path) -> View:
 def exported(document: dict[str, Any], form: str, *, draws: int = 0, seed: int = 0) -> Exported:
     """Return a calibration document in another format, with draws of its errors where they are asked for."""
     if not draws:
-        return format_of(form, field="--format").write(from_document(document), document)
+        return find_format(form, field="--format").write(from_document(document), document)
     for name in MAP_FORMATS:
         if form == name:
             content = export_draws(document, name, draws=draws, seed=seed)
@@ -242,7 +242,7 @@ def rectify_files(
         folder.mkdir(parents=True, exist_ok=True)
     written = []
     for path in images:
-        found = _remapped(path, solved, tables)
+        found = _remap_map(path, solved, tables)
         target = folder / f"{path.stem}_{grid}.{'png' if grid == 'sky' else 'tif'}"
         if grid == "sky":
             with disk_errors(target):
@@ -255,7 +255,7 @@ def rectify_files(
     return written
 
 
-def _remapped(path: Path, solved: Calibration, tables: tuple[NDArray[Any], NDArray[Any]]) -> NDArray[Any]:
+def _remap_map(path: Path, solved: Calibration, tables: tuple[NDArray[Any], NDArray[Any]]) -> NDArray[Any]:
     image = _in_colour(path, read_image(path))
     size = (solved.camera.width, solved.camera.height)
     if (image.shape[1], image.shape[0]) != size:
@@ -266,7 +266,7 @@ def _remapped(path: Path, solved: Calibration, tables: tuple[NDArray[Any], NDArr
 
 def _in_colour(path: Path, image: Image) -> Image:
     """Return the image in its colours where it is a composite of ours that says which mosaic it is."""
-    said = (document_of(read_file(path)) or {}).get("bayer")
+    said = (embedded_document(read_file(path)) or {}).get("bayer")
     bayer: Bayer | None = next((known for known in get_args(Bayer) if known == said), None)
     return image if bayer is None or image.ndim != 2 else demosaiced(image, bayer)
 

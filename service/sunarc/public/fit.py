@@ -15,7 +15,7 @@ from sunarc.formats.formats import calibration_view
 from sunarc.optics.projections import PROJECTIONS
 from sunarc.public.calibration import Calibration, load
 from sunarc.public.documents import as_documented, latest_times, new_document
-from sunarc.public.inputs import choice, image_size_of, named_as_in_python, number, numbers
+from sunarc.public.inputs import check_image_size, choice, named_as_in_python, number, numbers
 from sunarc.public.stated_fit import fit_as_stated
 from sunarc.public.values import Sightings, Site, StrPath, require_sightings, require_site
 
@@ -97,7 +97,7 @@ def calibrate(
             points,
             name=sightings.name,
             site=site.place,
-            image_size=image_size_of(image_size),
+            image_size=check_image_size(image_size),
             options=options,
             circle=_circle(image_circle),
             start=None if begin is None else begin.as_start(),

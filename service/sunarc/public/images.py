@@ -19,7 +19,7 @@ from sunarc.formats.formats import calibration_view
 from sunarc.public.calibration import Calibration
 from sunarc.public.documents import as_documented
 from sunarc.public.inputs import Times, choice, data_array, one_time, unix_seconds
-from sunarc.public.star_files import StarImage, StarOptions, blind_result, named_or_flipped, stars_of_image
+from sunarc.public.star_files import StarImage, StarOptions, blind_result, detect_star_image, named_or_flipped
 from sunarc.public.values import Sightings, Site, require_site
 from sunarc.sky.directions import angles_from_direction
 from sunarc.sky.site import Site as Place
@@ -31,7 +31,7 @@ Picture = Any
 """A picture: (rows, columns) or (rows, columns, 3) of 8 or 16 bits, as OpenCV reads it; or the path of a file."""
 
 
-def image_of(picture: Picture, *, field: str = "image") -> Image:
+def read_picture(picture: Picture, *, field: str = "image") -> Image:
     """Return the pixels of a picture.
 
     Raises
@@ -120,7 +120,7 @@ def find_sun(
         solved = calibration.require_usable()
         (expected,) = expectations(solved, np.array([unix_s]), site=solved.site)
     found = detect_in_image(
-        image_of(image),
+        read_picture(image),
         method=choice("method", method, METHODS),
         full_scale=full_scale,
         bayer=None if bayer is None else choice("bayer", bayer, BAYERS),
@@ -233,7 +233,7 @@ def find_stars(
     seen: list[StarImage] = []
     for row, (picture, at) in enumerate(zip(pictures, unix_s.ravel().tolist(), strict=True)):
         name = f"image[{row}]" if several else "image"
-        one = stars_of_image(image_of(picture, field=name), utc_time(at), place, options, name=name, size=size)
+        one = detect_star_image(read_picture(picture, field=name), utc_time(at), place, options, name=name, size=size)
         seen, size = [*seen, one], size or one.size
     if solved is None:
         found = _found_blind(seen, place, options)
@@ -263,7 +263,7 @@ def _found(image: StarImage, calibration: Calibration | None, reason: str) -> St
         used = image.rows()
         seen = stars.select(matches.detection[used])
         pixels, sigma_px, names = seen.pixels, seen.sigma_px, predicted.names[matches.star[used]]
-        directions = sky.directions[sky.rows_of(names.tolist())]
+        directions = sky.directions[sky.find_rows(names.tolist())]
     zenith, azimuth = angles_from_direction(directions)
     return StarDetections(
         names=names,

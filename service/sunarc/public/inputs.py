@@ -50,13 +50,13 @@ def unix_seconds(time: Times, *, field: str = "time") -> FloatArray:
     if array is not None:
         time = array.to_numpy()
     elif not isinstance(time, str | datetime) and hasattr(time, "dtype") and hasattr(time, "to_numpy"):
-        time = _of_pandas(time, field=field)
+        time = _pandas_values(time, field=field)
     values = np.asarray(time if hasattr(time, "dtype") else _as_objects(time))
     if values.dtype.kind == "M":
-        return _of_datetime64(values, field=field)
+        return _datetime64_seconds(values, field=field)
     if values.dtype.kind not in "OUT":
-        raise InputError(field=field, problem=f"{_shown(time)} is no time", remedy=_TIMES)
-    flat = [_of_one(one, _at(field, values, n)) for n, one in enumerate(values.ravel().tolist())]
+        raise InputError(field=field, problem=f"{_show_value(time)} is no time", remedy=_TIMES)
+    flat = [_one_time_seconds(one, _at(field, values, n)) for n, one in enumerate(values.ravel().tolist())]
     return np.array(flat, dtype=np.float64).reshape(values.shape)
 
 
@@ -69,7 +69,7 @@ def _as_objects(time: object) -> np.ndarray[Any, np.dtype[Any]]:
     return np.array(list(time), dtype=object)
 
 
-def _of_pandas(time: Any, *, field: str) -> np.ndarray[Any, np.dtype[Any]]:  # noqa: ANN401 - pandas is not required
+def _pandas_values(time: Any, *, field: str) -> np.ndarray[Any, np.dtype[Any]]:  # noqa: ANN401 - pandas is not required
     """Return the values of a series or an index; those with a time zone as datetime64 in UTC."""
     if getattr(time.dtype, "kind", "O") != "M":
         return np.asarray(time.to_numpy(dtype=object))
@@ -79,7 +79,7 @@ def _of_pandas(time: Any, *, field: str) -> np.ndarray[Any, np.dtype[Any]]:  # n
     return np.asarray(getattr(utc, "dt", utc).tz_localize(None).to_numpy())
 
 
-def _of_datetime64(values: np.ndarray[Any, np.dtype[Any]], *, field: str) -> FloatArray:
+def _datetime64_seconds(values: np.ndarray[Any, np.dtype[Any]], *, field: str) -> FloatArray:
     """Return the seconds of datetime64 of any unit; whole microseconds give the digits that `datetime` gives."""
     if np.any(np.isnat(values)):
         missing = int(np.argmax(np.isnat(values)))
@@ -93,7 +93,7 @@ def _of_datetime64(values: np.ndarray[Any, np.dtype[Any]], *, field: str) -> Flo
     return np.asarray(microseconds / 1e6 + rest * 1e-9)
 
 
-def _of_one(one: object, field: str) -> float:
+def _one_time_seconds(one: object, field: str) -> float:
     """Return the seconds of a text, a `datetime` or a datetime64."""
     if isinstance(one, str):
         return parse_time(one, where=field).timestamp()
@@ -104,8 +104,8 @@ def _of_one(one: object, field: str) -> float:
             raise InputError(field=field, problem=f"{one.isoformat(sep=' ')} has no time zone", remedy=_ZONE)
         return one.timestamp()
     if isinstance(one, np.datetime64):
-        return float(_of_datetime64(np.asarray(one), field=field))
-    raise InputError(field=field, problem=f"{_shown(one)} is no time", remedy=_TIMES)
+        return float(_datetime64_seconds(np.asarray(one), field=field))
+    raise InputError(field=field, problem=f"{_show_value(one)} is no time", remedy=_TIMES)
 
 
 def _at(field: str, values: np.ndarray[Any, np.dtype[Any]], number: int) -> str:
@@ -116,7 +116,7 @@ def _at(field: str, values: np.ndarray[Any, np.dtype[Any]], number: int) -> str:
     return f"{field}[{', '.join(str(int(one)) for one in place)}]"
 
 
-def _shown(value: object) -> str:
+def _show_value(value: object) -> str:
     text = repr(value)
     return text if len(text) < 60 else f"{text[:56]} …"
 
@@ -134,7 +134,7 @@ def numbers(value: Values, *, field: str) -> FloatArray:
             warnings.simplefilter("error", np.exceptions.ComplexWarning)  # an imaginary part is no number of ours
             found = np.ma.filled(np.ma.asanyarray(value).astype(np.float64), np.nan)
     except (TypeError, ValueError, OverflowError, np.exceptions.ComplexWarning):
-        raise InputError(field=field, problem=f"{_shown(value)} is not numeric", remedy="give numbers") from None
+        raise InputError(field=field, problem=f"{_show_value(value)} is not numeric", remedy="give numbers") from None
     finite = np.isfinite(found)
     if not np.all(finite):
         where = int(np.argmin(finite))
@@ -155,16 +155,16 @@ def texts(value: object, *, field: str) -> NameArray:
     """Return names in their shape; InputError where one is no text."""
     found = np.asarray(value if not hasattr(value, "to_numpy") else value.to_numpy())
     if not all(isinstance(one, str) for one in found.ravel().tolist()):
-        raise InputError(field=field, problem=f"{_shown(value)} is no text", remedy="give names, as 'sun'")
+        raise InputError(field=field, problem=f"{_show_value(value)} is no text", remedy="give names, as 'sun'")
     return found.astype(np.str_)
 
 
-def image_size_of(value: object) -> tuple[int, int]:
+def check_image_size(value: object) -> tuple[int, int]:
     """Return width and height in px; InputError where they are no size of an image."""
     found = numbers(value, field="image_size")
     if found.shape != (2,) or np.any(found != np.floor(found)) or np.min(found) < 1.0 or np.max(found) > 1e6:
         remedy = "give width and height in px, as (1748, 1748)"
-        raise InputError(field="image_size", problem=f"{_shown(value)} is no size", remedy=remedy)
+        raise InputError(field="image_size", problem=f"{_show_value(value)} is no size", remedy=remedy)
     return int(found[0]), int(found[1])
 
 

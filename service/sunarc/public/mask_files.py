@@ -18,7 +18,7 @@ from sunarc.common.array_types import Image
 from sunarc.common.errors import InputError, disk_errors
 from sunarc.common.findings import FindingError
 from sunarc.formats.csv_files import write_columns
-from sunarc.imaging.horizon import HorizonProfile, obstructions_of
+from sunarc.imaging.horizon import HorizonProfile, find_obstructions
 from sunarc.imaging.obstructions import (
     FREE,
     HIDDEN,
@@ -49,7 +49,7 @@ class LearnedMask(NamedTuple):
         return {"images": self.counts, "shares_of_the_sky": shares}
 
 
-def mask_of_files(paths: Sequence[Path], calibration: Calibration, options: StarOptions) -> LearnedMask:
+def learn_mask_from_files(paths: Sequence[Path], calibration: Calibration, options: StarOptions) -> LearnedMask:
     """Return the mask and the horizon that images show, read in the order of their times.
 
     Parameters
@@ -70,7 +70,7 @@ def mask_of_files(paths: Sequence[Path], calibration: Calibration, options: Star
         except (FindingError, InputError):
             unread += 1
     images = ((time.timestamp(), _image(path, options)) for time, path in sorted(timed))
-    return mask_of_images(itertools.chain(images, itertools.repeat((math.inf, None), unread)), calibration)
+    return learn_mask(itertools.chain(images, itertools.repeat((math.inf, None), unread)), calibration)
 
 
 def _image(path: Path, options: StarOptions) -> Image | None:
@@ -80,7 +80,7 @@ def _image(path: Path, options: StarOptions) -> Image | None:
         return None
 
 
-def mask_of_images(images: Iterable[tuple[float, Image | None]], calibration: Calibration) -> LearnedMask:
+def learn_mask(images: Iterable[tuple[float, Image | None]], calibration: Calibration) -> LearnedMask:
     """Return the mask and the horizon that images show.
 
     Parameters
@@ -106,7 +106,7 @@ def mask_of_images(images: Iterable[tuple[float, Image | None]], calibration: Ca
         used = ", ".join(f"{n} {use}" for use, n in sorted(counts.items())) or "none"
         problem = f"show too little sunshine: {sums.missing_h:.1f} h more are needed (images: {used})"
         raise InputError(field="IMAGES", problem=problem, remedy="give images of a whole clear day")
-    return LearnedMask(*obstructions_of(sums, grid, sigma_deg=calibration.sky_rms_deg), dict(counts))
+    return LearnedMask(*find_obstructions(sums, grid, sigma_deg=calibration.sky_rms_deg), dict(counts))
 
 
 def mask_png(mask: ObstructionMask) -> bytes:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from sunarc.calibration.answers.covariance import sigma_deg
 from sunarc.calibration.answers.direction_table import Lookup
-from sunarc.calibration.answers.residuals import Residuals, residuals_of
+from sunarc.calibration.answers.residuals import Residuals, compute_residuals
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.common.array_types import BoolArray, FloatArray
@@ -372,7 +372,7 @@ def write_calibration_plots(calibration: Calibration, points: Sightings, *, fold
     InputError
         Where they cannot be written.
     """
-    residuals = residuals_of(calibration, points)
+    residuals = compute_residuals(calibration, points)
     with writing_into(folder):
         return (
             save_png(residual_figure(calibration, residuals), folder / "residuals.png"),

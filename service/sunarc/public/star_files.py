@@ -16,7 +16,7 @@ from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.selection import MOST_STARS, image_parts, sky_parts, surest_of_parts
+from sunarc.calibration.selection import MOST_STARS, image_parts, pick_surest_in_parts, sky_parts
 from sunarc.common.array_types import FloatArray, Image, IntArray, evenly_spread
 from sunarc.common.errors import InputError
 from sunarc.common.findings import Finding, FindingError, joined
@@ -32,13 +32,13 @@ from sunarc.sky.directions import angular_distance, direction_from_angles
 from sunarc.sky.night import FAINTEST_V, NightSky, night_sky
 from sunarc.sky.site import Site
 from sunarc.sources.detect_files import estimated_full_scale
-from sunarc.sources.file_kinds import kind_of
+from sunarc.sources.file_kinds import find_kind
 from sunarc.sources.fits_files import fits_bayer, fits_site
-from sunarc.sources.image_files import image_of
-from sunarc.sources.image_times import ASSUMED_UTC, HEADER_FAMILIES, TimedFrame, TimeRules, sidecar_of, timed_frames
+from sunarc.sources.image_files import read_one_image
+from sunarc.sources.image_times import ASSUMED_UTC, HEADER_FAMILIES, TimedFrame, TimeRules, name_sidecar, timed_frames
 from sunarc.sources.source_files import opened
 from sunarc.sources.sources import Folder
-from sunarc.stars.blind_start import BlindOptions, BlindStart, NightDetections, blind_start, with_clock_error
+from sunarc.stars.blind_start import BlindOptions, BlindStart, NightDetections, add_star_clock_error, blind_start
 from sunarc.stars.views import StarView, match_views, matching_flip, predict_stars
 
 
@@ -123,16 +123,16 @@ def find_stars(paths: Sequence[Path], calibration: Calibration, options: StarOpt
     """
     camera = calibration.camera
     size = (camera.width, camera.height)
-    seen = [read_stars(path, calibration.site, options, size=size) for path in paths]
+    seen = [detect_stars_in_file(path, calibration.site, options, size=size) for path in paths]
     return named_or_flipped(seen, calibration, options)
 
 
 def named_or_flipped(seen: Sequence[StarImage], calibration: Calibration, options: StarOptions) -> list[StarImage]:
     """Return images with the names that a calibration gives their stars; or their findings say how they are flipped."""
-    return _with_flips(named_stars(seen, calibration, within_px=options.within_px), seen, calibration)
+    return _try_flips(named_stars(seen, calibration, within_px=options.within_px), seen, calibration)
 
 
-def _with_flips(named: list[StarImage], seen: Sequence[StarImage], calibration: Calibration) -> list[StarImage]:
+def _try_flips(named: list[StarImage], seen: Sequence[StarImage], calibration: Calibration) -> list[StarImage]:
     """Return images; where no image's stars match, and those of flipped ones do, their findings say which flip."""
     if any(one.matches is not None and one.matches.accepted for one in named):
         return named
@@ -196,7 +196,7 @@ def write_star_sightings(
     stars = [row for part, _ in found for row in part]
     around = np.concatenate([np.zeros((0, 3)), *(part for _, part in found)])
     sigma_px = np.array([row[3] for row in stars], dtype=np.float64)
-    used = surest_of_parts(sky_parts(around), sigma_px, most)
+    used = pick_surest_in_parts(sky_parts(around), sigma_px, most)
     rows += [stars[row] for row in used]
     directions.append(around[used])
     air = np.concatenate([air, np.full((2, len(rows) - sun), np.nan)], axis=-1)
@@ -214,10 +214,12 @@ def _sightings(image: StarImage) -> tuple[list[tuple[datetime, float, float, flo
     rows: list[tuple[datetime, float, float, float | None, str]] = [
         (image.time, x, y, sigma, name) for (x, y), sigma, name in columns
     ]
-    return rows, sky.directions[sky.rows_of(named)]
+    return rows, sky.directions[sky.find_rows(named)]
 
 
-def read_stars(path: Path, site: Site, options: StarOptions, *, size: tuple[int, int] | None = None) -> StarImage:
+def detect_stars_in_file(
+    path: Path, site: Site, options: StarOptions, *, size: tuple[int, int] | None = None
+) -> StarImage:
     """Return the detections of a file, and the sky at its moment; a file that is no image gets its reason.
 
     InputError where the image has not the size (width, height) that is wanted.
@@ -232,10 +234,10 @@ def read_stars(path: Path, site: Site, options: StarOptions, *, size: tuple[int,
     if (elsewhere := _other_site(path, site)) is not None:
         reason = elsewhere.text
         return StarImage(file=name_text(path), reason=reason, findings=(elsewhere,), time=time)
-    return stars_of_image(image, time, site, replace(options, bayer=bayer), name=name_text(path), size=size)
+    return detect_star_image(image, time, site, replace(options, bayer=bayer), name=name_text(path), size=size)
 
 
-def stars_of_image(
+def detect_star_image(
     image: Image, time: datetime, site: Site, options: StarOptions, *, name: str, size: tuple[int, int] | None = None
 ) -> StarImage:
     """Return the detections of an image, and the sky at the middle of its exposure.
@@ -274,7 +276,7 @@ _FARTHEST_DEG = 2.0
 
 def _other_site(path: Path, site: Site) -> Finding | None:
     """Return the site of a FITS header that differs; longitudes that are positive to the west are known."""
-    if kind_of(path.name) != "fits":
+    if find_kind(path.name) != "fits":
         return None
     with opened(Folder(name_text(path.parent)), name_text(path.name)) as file:
         place = fits_site(file, path.name)
@@ -294,11 +296,11 @@ def read_timed(path: Path, options: StarOptions) -> tuple[datetime, Image, Bayer
     """
     source, name = Folder(name_text(path.parent)), name_text(path.name)
     time = read_time(path, options)
-    found = image_of(source, name)
+    found = read_one_image(source, name)
     if isinstance(found, Finding):
         raise FindingError(name, found)
     bayer = options.bayer
-    if bayer is None and found.ndim == 2 and kind_of(path.name) == "fits":
+    if bayer is None and found.ndim == 2 and find_kind(path.name) == "fits":
         with opened(source, name) as file:
             bayer = fits_bayer(file, name)
     return time, found, bayer
@@ -312,12 +314,12 @@ def read_time(path: Path, options: StarOptions) -> datetime:
 
 
 def _stated_frame(path: Path, source: Folder, rules: TimeRules) -> TimedFrame:
-    beside = Path(sidecar_of(str(path)))
+    beside = Path(name_sidecar(str(path)))
     names = [name_text(beside.name)] if is_regular(beside) else []
     try:
         return timed_frames(source, name_text(path.name), rules, names=names)[0]
     except FindingError as refused:
-        if refused.finding.code != "file_time_unknown" or kind_of(path.name) != "fits":
+        if refused.finding.code != "file_time_unknown" or find_kind(path.name) != "fits":
             raise
         raise FindingError(path.name, Finding("file_time_header")) from None
 
@@ -426,7 +428,7 @@ def find_stars_blind(
 def _read(paths: Sequence[Path], site: Site, options: StarOptions) -> list[StarImage]:
     seen, size = list[StarImage](), None
     for path in paths:
-        seen.append(read_stars(path, site, options, size=size))
+        seen.append(detect_stars_in_file(path, site, options, size=size))
         size = size or seen[-1].size
     return seen
 
@@ -457,7 +459,7 @@ def blind_result(
     if not fitted.verdict.accepted:
         return BlindResult(start=start, images=seen, calibration=fitted)
     named = named_stars(seen, fitted, within_px=options.within_px)
-    stated = with_clock_error(fitted, options.clock_error_s, limit_deg=choice.max_sky_deg)
+    stated = add_star_clock_error(fitted, options.clock_error_s, limit_deg=choice.max_sky_deg)
     return BlindResult(start=start, images=[_dated(one, images[0].unix_s) for one in named], calibration=stated)
 
 
@@ -491,7 +493,7 @@ def _points(start: BlindStart, images: Sequence[NightDetections], size: tuple[in
         times.append(np.full(len(names), image.unix_s))
         pixels.append(seen.pixels[sound])
         sigma.append(seen.sigma_px[sound])
-        directions.append(image.sky.directions[image.sky.rows_of(names)])
+        directions.append(image.sky.directions[image.sky.find_rows(names)])
     every = Sightings.of(
         unix_s=np.concatenate(times),
         pixels=np.concatenate(pixels),
@@ -499,4 +501,4 @@ def _points(start: BlindStart, images: Sequence[NightDetections], size: tuple[in
         directions=np.concatenate(directions),
     )
     most = _MOST_STARS if len(images) > 1 else MOST_STARS
-    return every.select(surest_of_parts(image_parts(every.pixels, size), every.sigma_px, most))
+    return every.select(pick_surest_in_parts(image_parts(every.pixels, size), every.sigma_px, most))

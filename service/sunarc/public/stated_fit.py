@@ -17,7 +17,7 @@ from sunarc.calibration.normal_points import dense_record
 from sunarc.calibration.pose import estimate_pose
 from sunarc.calibration.quality.tilt import require_level
 from sunarc.calibration.stated_prior import PriorTolerances, calibrate_with_prior
-from sunarc.calibration.verdict import provisional, with_clock
+from sunarc.calibration.verdict import add_stated_clock, provisional
 from sunarc.changes.record import Moved, calibrate_moved, calibrate_with_lens
 from sunarc.common.errors import InputError
 from sunarc.common.findings import Finding
@@ -73,7 +73,7 @@ def fit_as_stated(
     """
     require_inside(points.pixels, image_size, name=name)
     points, clock_error_s = without_clock_column(points, clock_error_s)
-    if clock_error_s is not None:  # as far as a fit allows for one; `with_clock` adds what is beyond
+    if clock_error_s is not None:  # as far as a fit allows for one; `add_stated_clock` adds what is beyond
         points = replace(points, clock_error_s=np.full(1, min(clock_error_s, MAX_CLOCK_ERROR_S)))
     _require_suns(points, options)
     dense = dense_record(points, site=site, image_size=image_size, options=options, circle=circle)
@@ -109,8 +109,8 @@ def fit_as_stated(
     if dense is None:
         points = given
     else:
-        solved, points = dense.of_all(solved, given)
-    return Moved(with_clock(solved, clock_error_s, step_s=time_step_s(points.unix_s)), points)
+        solved, points = dense.fit_as_all_sightings(solved, given)
+    return Moved(add_stated_clock(solved, clock_error_s, step_s=time_step_s(points.unix_s)), points)
 
 
 _SAME_SITE_DEG = 0.1

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from sunarc.common.findings import findings_of
+from sunarc.common.findings import parse_findings
 from sunarc.common.messages import significant
 from sunarc.formats.calibration_document import from_document
 from sunarc.optics.mounting import pose_text
 
 
-def verdict_of(document: dict[str, Any]) -> str:
+def summarize_verdict(document: dict[str, Any]) -> str:
     """Return the verdict on a calibration in a word."""
     verdict = document["verdict"]
     if verdict["marginal"] and document["uncertainty"].get("sigma_limit_deg") is not None:
@@ -24,13 +24,13 @@ def calibration_text(document: dict[str, Any]) -> str:
     One that is not accepted shows no number of its camera, which would be read as an answer.
     """
     metrics, verdict = document["metrics"], document["verdict"]
-    lens, sky = _camera_rows(document) if verdict_of(document) in {"accepted", "provisional"} else ([], [])
+    lens, sky = _camera_rows(document) if summarize_verdict(document) in {"accepted", "provisional"} else ([], [])
     rows: list[list[str]] = [
         *lens,
         ["sightings used", f"{document['evidence']['n_used']} of {metrics['n'] + document['evidence']['n_rejected']}"],
         ["RMSE", _rmse(metrics)],
         *sky,
-        ["verdict", verdict_of(document)],
+        ["verdict", summarize_verdict(document)],
         *(["", reason] for reason in verdict["reasons"]),
         *(["remedy", remedy] for remedy in _remedies(verdict)),
     ]
@@ -54,7 +54,7 @@ def _camera_rows(document: dict[str, Any]) -> tuple[list[list[str]], list[list[s
 
 def _remedies(verdict: dict[str, Any]) -> list[str]:
     """Return the remedies of a calibration that is not accepted, each once."""
-    found = [] if verdict["accepted"] else [finding.remedy for finding in findings_of(verdict)]
+    found = [] if verdict["accepted"] else [finding.remedy for finding in parse_findings(verdict)]
     return [one for one in dict.fromkeys(found) if one != "none"]
 
 

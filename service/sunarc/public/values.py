@@ -14,7 +14,7 @@ from sunarc.calibration.model.sightings import Sightings as Points
 from sunarc.common.array_types import FloatArray, stacked
 from sunarc.common.bounds import require_bounds
 from sunarc.common.errors import InputError
-from sunarc.formats.csv_files import RowPlaces, read_unplaced, with_named_bodies
+from sunarc.formats.csv_files import RowPlaces, name_bodies, read_unplaced
 from sunarc.public.inputs import Times, Values, asked_times, number, numbers, texts, unix_seconds
 from sunarc.sky.directions import direction_from_angles
 from sunarc.sky.night import SUN
@@ -68,7 +68,7 @@ class Site:
         )
 
 
-def site_of(place: Place) -> Site:
+def notebook_site(place: Place) -> Site:
     """Return the site of a calibration as a notebook has it."""
     return Site(
         latitude=place.latitude,
@@ -184,7 +184,7 @@ class Sightings:
             object.__setattr__(self, key, value)
 
     @classmethod
-    def of_points(cls, points: Points, name: str, wheres: RowPlaces) -> Sightings:
+    def from_points(cls, points: Points, name: str, wheres: RowPlaces) -> Sightings:
         """Return sightings that the library has; internal."""
         made = cls.__new__(cls)
         made._set(points, name, wheres)  # noqa: SLF001 - its own
@@ -203,11 +203,11 @@ class Sightings:
         """
         parts = [one.sightings().points for one in found]
         points = stacked(parts) if parts else Points.of(unix_s=[], pixels=[])
-        return cls.of_points(points, "sightings", RowPlaces("sightings, row", np.arange(len(points))))
+        return cls.from_points(points, "sightings", RowPlaces("sightings, row", np.arange(len(points))))
 
     def at(self, site: Site) -> Points:
         """Return the sightings with the directions of the bodies at a site; internal."""
-        return with_named_bodies(self.points, site.place, wheres=self.wheres)
+        return name_bodies(self.points, site.place, wheres=self.wheres)
 
     def __len__(self) -> int:
         return len(self.points)
@@ -260,7 +260,7 @@ def read_sightings(path: StrPath) -> Sightings:
     """
     path = Path(path)
     points, wheres = read_unplaced(read_lines(path), name=path.name)
-    return Sightings.of_points(points, path.stem, wheres)
+    return Sightings.from_points(points, path.stem, wheres)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

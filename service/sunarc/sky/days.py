@@ -31,17 +31,17 @@ def solar_days(unix_s: FloatArray, *, longitude: float) -> IntArray:
     return np.floor((unix_s + longitude * SECONDS_PER_DEGREE) / DAY_S).astype(np.int64)
 
 
-def date_of_day(day: int) -> date:
+def day_to_date(day: int) -> date:
     """Return the date of a day counted from 1970."""
     return _FIRST_DAY + timedelta(days=day)
 
 
-def day_of_date(day: date) -> int:
+def date_to_day(day: date) -> int:
     """Return the number of a date, counted from 1970."""
     return (day - _FIRST_DAY).days
 
 
 def day_bounds_unix_s(day: date, *, longitude: float) -> tuple[float, float]:
     """Return the first moment of a solar day and of the next, in seconds since 1970-01-01 UTC."""
-    start = day_of_date(day) * DAY_S - longitude * SECONDS_PER_DEGREE
+    start = date_to_day(day) * DAY_S - longitude * SECONDS_PER_DEGREE
     return start, start + DAY_S

@@ -82,7 +82,7 @@ class NightSky:
     def __len__(self) -> int:
         return int(self.magnitude.size)
 
-    def rows_of(self, names: Sequence[str]) -> IntArray:
+    def find_rows(self, names: Sequence[str]) -> IntArray:
         """Return the rows (m,) of names that are all in it."""
         row = {name: index for index, name in enumerate(self.names.tolist())}
         return np.array([row[name] for name in names], dtype=np.int64)
@@ -223,13 +223,13 @@ def body_directions(
     temperature, pressure : (n,) of the air, °C and Pa, as measured; the site's where None or NaN.
     """
     directions = np.full((unix_s.size, 3), np.nan)
-    row_of = {f"{STAR}{hip}": row for row, hip in enumerate(_stars().hip.tolist())}
-    star = np.array([row_of.get(name, -1) for name in names.tolist()], dtype=np.int64)
+    record_columns = {f"{STAR}{hip}": row for row, hip in enumerate(_stars().hip.tolist())}
+    star = np.array([record_columns.get(name, -1) for name in names.tolist()], dtype=np.int64)
     bodies = [(np.asarray(names == name), name) for name in SOLAR_SYSTEM_BODIES]
     # all of one moment at once: many stars are of one image
     for moment in np.unique(unix_s[(star >= 0) | np.isin(names, SOLAR_SYSTEM_BODIES)]).tolist():
         now = unix_s == moment
-        air = site.with_air(temperature=_measured(temperature, now), pressure=_measured(pressure, now))
+        air = site.replace_air(temperature=_measured(temperature, now), pressure=_measured(pressure, now))
         if np.any(stars := now & (star >= 0)):
             directions[stars] = star_directions(picked(_stars(), star[stars]), moment, air)
         for named, name in bodies:
@@ -352,7 +352,7 @@ _NAMES = {
 # fmt: on
 
 
-def title_of(body: str) -> str:
+def common_name(body: str) -> str:
     """Return the common name of a body: Sirius, HIP 12345, Venus."""
     if not body.startswith(STAR):
         return body.capitalize()

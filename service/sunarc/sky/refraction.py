@@ -51,11 +51,11 @@ def apparent_elevation(elevation_deg: ArrayLike, site: Site) -> FloatArray:
     """
     elevation = np.asarray(elevation_deg, dtype=np.float64)
     pressure_hpa = site.pressure_pa / PA_PER_HPA
-    lifted = refraction_of_true_deg(elevation, pressure_hpa=pressure_hpa, temperature=site.temperature)
+    lifted = true_elevation_refraction_deg(elevation, pressure_hpa=pressure_hpa, temperature=site.temperature)
     return np.asarray(elevation + lifted)
 
 
-def refraction_of_true_deg(
+def true_elevation_refraction_deg(
     elevation_deg: FloatArray, *, pressure_hpa: FloatArray | float, temperature: FloatArray | float
 ) -> FloatArray:
     """Return the refraction at true elevations, (...) degrees, by the sun's algorithm (Saemundsson's formula).

@@ -60,7 +60,7 @@ class Site:
         """The air pressure, from the altitude unless it was set."""
         return _standard_pressure_pa(self.altitude) if self.pressure is None else self.pressure
 
-    def with_air(self, *, temperature: float | None, pressure: float | None) -> Site:
+    def replace_air(self, *, temperature: float | None, pressure: float | None) -> Site:
         """Return the same place in air of a temperature (°C) and a pressure (Pa); None keeps the present value."""
         return replace(
             self,

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from sunarc.common.array_types import FloatArray
 from sunarc.sky.directions import direction_from_angles
 from sunarc.sky.ephemeris import geocentric, terrestrial_minus_universal_s
-from sunarc.sky.refraction import refraction_of_true_deg
+from sunarc.sky.refraction import true_elevation_refraction_deg
 from sunarc.sky.site import Site
 
 SOLAR_RADIUS = math.radians(0.2666)
@@ -79,7 +79,7 @@ def sun_angles(
     true = np.degrees(np.arcsin(sine))
     north = np.cos(hour) * math.sin(phi) - np.tan(declination) * math.cos(phi)
     azimuth = (np.degrees(np.arctan2(np.sin(hour), north)) % 360.0 + 180.0) % 360.0
-    lifted = refraction_of_true_deg(true, pressure_hpa=pressure_pa / 100.0, temperature=celsius)
+    lifted = true_elevation_refraction_deg(true, pressure_hpa=pressure_pa / 100.0, temperature=celsius)
     return SunAngles(*(np.reshape(angle, times.shape) for angle in (90.0 - true, 90.0 - (true + lifted), azimuth)))
 
 

@@ -80,26 +80,26 @@ UNREAD = {
 """Endings of files that are named as not read: their kind, and the remedy."""
 
 
-def kind_of(name: str) -> Kind | None:
+def find_kind(name: str) -> Kind | None:
     """Return the kind of a file by its name; None for one that holds no images that are read."""
-    ending = ending_of(name)
+    ending = listed_ending(name)
     return _BY_ENDING[ending].kind if ending in _BY_ENDING else None
 
 
-def ending_of(name: str) -> str:
+def listed_ending(name: str) -> str:
     """Return the ending of a file's name as it is listed here, else its last suffix; lower case, with the point."""
     lower = PurePosixPath(name).name.lower()
     return next((one for one in _LONGEST_FIRST if lower.endswith(one)), PurePosixPath(lower).suffix)
 
 
-def stem_of(name: str) -> str:
+def path_stem(name: str) -> str:
     """Return a path without the ending of its file."""
-    return name[: len(name) - len(ending_of(name))]
+    return name[: len(name) - len(listed_ending(name))]
 
 
 def unread_finding(name: str) -> Finding | None:
     """Return why a file of images, or of a camera, is not read; None for other files."""
-    label, action = UNREAD.get(ending_of(name), ("", ""))
+    label, action = UNREAD.get(listed_ending(name), ("", ""))
     return Finding("file_kind_not_read", {"kind": label, "action": action}) if label else None
 
 

@@ -35,10 +35,10 @@ def read_lines(path: Path) -> list[str]:
 
 def read_image(path: Path) -> Image:
     """Return the image of a file, the first one of several, as it is stored; InputError where it cannot be used."""
-    from sunarc.sources.image_files import image_of  # noqa: PLC0415 - a file of numbers is read without OpenCV
+    from sunarc.sources.image_files import read_one_image  # noqa: PLC0415 - a file of numbers is read without OpenCV
     from sunarc.sources.sources import Folder  # noqa: PLC0415
 
-    found = image_of(Folder(name_text(path.parent)), name_text(path.name))
+    found = read_one_image(Folder(name_text(path.parent)), name_text(path.name))
     if isinstance(found, Finding):
         raise FindingError(name_text(path), found)
     return found

@@ -19,7 +19,7 @@ from sunarc.common.extras import extra_module
 from sunarc.common.findings import Finding, FindingError
 from sunarc.common.utc import EPOCH
 from sunarc.detection.values import BAYERS, Bayer
-from sunarc.sources.name_times import is_of_images
+from sunarc.sources.name_times import is_plausible_time
 from sunarc.sources.source_files import MOST_PIXELS, FileImage, refusing, require_size, unreadable
 
 FitsFile = bytes | BinaryIO
@@ -172,7 +172,7 @@ def _fits_time(header: dict[str, Any], *keys: str) -> datetime | None:
     Cameras without a clock write a placeholder, as 0.
     """
     times = (_fits_days(header, key) if key.startswith(("MJD", "JD")) else _fits_date(header, key) for key in keys)
-    time = next((one for one in times if one is not None and is_of_images(one)), None)
+    time = next((one for one in times if one is not None and is_plausible_time(one)), None)
     scale = str(header.get("TIMESYS", "UTC")).strip().upper()
     return time if scale in {"UTC", "UT"} else None
 

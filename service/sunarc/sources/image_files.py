@@ -16,11 +16,11 @@ from sunarc.common.array_types import Image
 from sunarc.common.errors import InputError
 from sunarc.common.findings import Finding, FindingError
 from sunarc.common.foreign_files import open_regular
-from sunarc.imaging.metadata import document_of
+from sunarc.imaging.metadata import embedded_document
 from sunarc.imaging.preview import decoded
-from sunarc.sources.file_kinds import FILE_KINDS, Kind, kind_of, unread_content, unread_finding
+from sunarc.sources.file_kinds import FILE_KINDS, Kind, find_kind, unread_content, unread_finding
 from sunarc.sources.fits_files import fits_frame, fits_image
-from sunarc.sources.source_files import MOST_PIXELS, FileImage, ImageSource, content_of, not_read, opened, unreadable
+from sunarc.sources.source_files import MOST_PIXELS, FileImage, ImageSource, not_read, opened, read_content, unreadable
 from sunarc.sources.stack_files import (
     NETPBM,
     netcdf_frames,
@@ -91,7 +91,7 @@ def _header_fault(encoded: bytes, size: tuple[int, int] | None) -> Finding | Non
     if unread is not None:
         return unread
     try:
-        header = _header_of(encoded)
+        header = _read_header(encoded)
     except Pictures.DecompressionBombError:
         return _TOO_MANY_PIXELS
     except _HEADER_ERRORS as error:
@@ -113,7 +113,7 @@ def _header_fault(encoded: bytes, size: tuple[int, int] | None) -> Finding | Non
     return next((finding for is_so, finding in faults if is_so), None)
 
 
-def _header_of(encoded: bytes) -> _Header:
+def _read_header(encoded: bytes) -> _Header:
     with Pictures.open(io.BytesIO(encoded), formats=FORMATS) as picture:
         kind = str(picture.format)
         frames = 1 if kind in _ONE_IMAGE else int(getattr(picture, "n_frames", 1))
@@ -160,7 +160,7 @@ def frames_in(source: ImageSource, name: str, *, sidecar: Callable[[], bytes | N
     ------
     FindingError : it cannot be read, or does not state when its images were taken.
     """
-    kind = kind_of(name)
+    kind = find_kind(name)
     return [FileImage(0)] if kind is None else _READERS[kind].frames(source, name, sidecar)
 
 
@@ -187,7 +187,7 @@ def images_in(
 def _images(
     source: ImageSource, name: str, numbers: Sequence[int], size: tuple[int, int] | None
 ) -> Iterator[tuple[int, Image | Finding]]:
-    kind = kind_of(name)
+    kind = find_kind(name)
     if (unread := unread_finding(name)) is not None:
         raise FindingError(name, unread)
     yield from _READERS[kind or "picture"].images(source, name, numbers, size)
@@ -206,7 +206,7 @@ class _Reader(NamedTuple):
 
 def _picture_images(source: ImageSource, name: str, numbers: Sequence[int], size: tuple[int, int] | None) -> Images:
     content = _picture_content(source, name)
-    if (document_of(content[:_HEAD_BYTES]) or {}).get("preview"):
+    if (embedded_document(content[:_HEAD_BYTES]) or {}).get("preview"):
         raise FindingError(name, Finding("file_preview"))
     yield numbers[0], checked_image(content, name, size=size)
 
@@ -233,8 +233,8 @@ def _fits_images(source: ImageSource, name: str, numbers: Sequence[int], size: t
         yield numbers[0], fits_image(file, name, size=size)
 
 
-def _file_of(source: ImageSource, name: str) -> Path | bytes:
-    return source.path(name) or content_of(source, name)
+def _open_file(source: ImageSource, name: str) -> Path | bytes:
+    return source.path(name) or read_content(source, name)
 
 
 _READERS: Mapping[Kind, _Reader] = {
@@ -242,17 +242,17 @@ _READERS: Mapping[Kind, _Reader] = {
     "netpbm": _Reader(_netpbm_frames, _netpbm_images),
     "fits": _Reader(_fits_frames, _fits_images),
     "netcdf": _Reader(
-        lambda source, name, _: netcdf_frames(_file_of(source, name), name),
-        lambda source, name, numbers, size: netcdf_images(_file_of(source, name), name, numbers, size=size),
+        lambda source, name, _: netcdf_frames(_open_file(source, name), name),
+        lambda source, name, numbers, size: netcdf_images(_open_file(source, name), name, numbers, size=size),
     ),
     "video": _Reader(
-        lambda source, name, sidecar: video_frames(_file_of(source, name), name, sidecar=sidecar()),
-        lambda source, name, numbers, size: video_images(_file_of(source, name), name, numbers, size=size),
+        lambda source, name, sidecar: video_frames(_open_file(source, name), name, sidecar=sidecar()),
+        lambda source, name, numbers, size: video_images(_open_file(source, name), name, numbers, size=size),
     ),
 }
 
 
-def image_of(
+def read_one_image(
     source: ImageSource, name: str, number: int = 0, *, size: tuple[int, int] | None = None
 ) -> Image | Finding:
     """Return one image of a file, or the finding why it cannot be used; see `images_in`."""
@@ -263,19 +263,19 @@ def image_of(
 def image_size(source: ImageSource, name: str, number: int = 0) -> tuple[int, int] | None:
     """Return width and height of an image of a file, px, as a picture's header states it; None where unread."""
     try:
-        if kind_of(name) == "picture":
+        if find_kind(name) == "picture":
             with opened(source, name) as file, Pictures.open(file, formats=FORMATS) as picture:
                 return picture.size
     except (InputError, *_HEADER_ERRORS, Pictures.DecompressionBombError):
         return None
-    found = image_of(source, name, number)
+    found = read_one_image(source, name, number)
     return None if isinstance(found, Finding) else (found.shape[1], found.shape[0])
 
 
 def _picture_content(source: ImageSource, name: str) -> bytes:
     """Return a picture's content; of a compressed one not more is inflated than its header states twice over."""
     if not name.lower().endswith(".gz"):
-        return content_of(source, name)
+        return read_content(source, name)
     with opened(source, name) as file:
         head = file.read(_HEAD_BYTES)
         most = _stated_bytes(head, name)
@@ -290,7 +290,7 @@ def _stated_bytes(head: bytes, name: str) -> int:
     if head[:4] == b"RIFF":
         return min(int.from_bytes(head[4:8], "little") + 8, 2 * 3 * MOST_PIXELS)
     try:
-        header = _header_of(head)
+        header = _read_header(head)
     except Pictures.DecompressionBombError:
         raise FindingError(name, _TOO_MANY_PIXELS) from None
     except _HEADER_ERRORS as error:
@@ -298,9 +298,9 @@ def _stated_bytes(head: bytes, name: str) -> int:
     return 2 * header.size[0] * header.size[1] * len(header.mode) + _HEAD_BYTES
 
 
-def orientation_of(source: ImageSource, name: str) -> int:
+def exif_orientation(source: ImageSource, name: str) -> int:
     """Return the EXIF orientation of a picture: 1 of one that is upright, or states none."""
-    if kind_of(name) != "picture":
+    if find_kind(name) != "picture":
         return UPRIGHT
     try:
         with opened(source, name) as file, Pictures.open(file, formats=FORMATS) as picture:
@@ -319,7 +319,7 @@ def document_in(source: ImageSource, name: str) -> Mapping[str, Any]:
     try:
         path = source.path(name)
         with io.BytesIO(source.read(name)) if path is None else open_regular(path) as file:
-            document = document_of(file.read(_HEAD_BYTES)) or {}
+            document = embedded_document(file.read(_HEAD_BYTES)) or {}
     except OSError as error:
         raise not_read(name, error) from None
     if document.get("preview"):

@@ -19,10 +19,10 @@ from PIL import Image as Pictures
 from sunarc.common.errors import InputError
 from sunarc.common.findings import Finding, FindingError
 from sunarc.common.utc import parse_time, utc_time
-from sunarc.sources.file_kinds import kind_of, stem_of
+from sunarc.sources.file_kinds import find_kind, path_stem
 from sunarc.sources.image_files import document_in, frames_in
-from sunarc.sources.name_times import NamedTime, is_of_images, no_time_finding, time_in_name, zone_of
-from sunarc.sources.source_files import FileImage, ImageSource, content_of
+from sunarc.sources.name_times import NamedTime, is_plausible_time, no_time_finding, parse_zone, time_in_name
+from sunarc.sources.source_files import FileImage, ImageSource, read_content
 from sunarc.sources.time_patterns import time_pattern
 
 _EXPOSURE = re.compile(r"_(\d+(?:\.\d+)?)us(?![a-zA-Z])")
@@ -31,7 +31,7 @@ UtcOffset: TypeAlias = timedelta | ZoneInfo
 """How far written times are ahead of UTC: always as far, or as the clocks of a place are (summer time)."""
 
 
-def utc_of_local(written: datetime, offset: UtcOffset, *, name: str) -> datetime:
+def local_to_utc(written: datetime, offset: UtcOffset, *, name: str) -> datetime:
     """Return the UTC time of a file's local one.
 
     Parameters
@@ -55,7 +55,7 @@ def utc_of_local(written: datetime, offset: UtcOffset, *, name: str) -> datetime
     raise FindingError(name, Finding("file_time_twice" if shown else "file_time_never", data))
 
 
-def utc_offset_of(given: str | float, *, field: str) -> UtcOffset:
+def parse_utc_offset(given: str | float, *, field: str) -> UtcOffset:
     """Return how far times are ahead of UTC, given in hours or as the name of a zone, as "Europe/Berlin".
 
     Raises
@@ -145,9 +145,9 @@ ASSUMED_UTC = TimeRules(offset=timedelta(0), documents=True, is_offset_assumed=T
 """Times without a zone are UTC unless stated."""
 
 
-def sidecar_of(name: str) -> str:
+def name_sidecar(name: str) -> str:
     """Return the name of the JSON file that may accompany a file."""
-    return stem_of(name) + ".json"
+    return path_stem(name) + ".json"
 
 
 class TimedFrame(NamedTuple):
@@ -180,17 +180,17 @@ def timed_frames(source: ImageSource, name: str, rules: TimeRules, *, names: Col
     ------
     FindingError : nothing states the time, or nothing states its zone.
     """
-    kind = kind_of(name)
+    kind = find_kind(name)
     if kind in {"picture", None}:  # a name of no kind may hold a picture; its content decides
         return [timed_picture(source, name, rules, names=names)]
-    sidecar_name = sidecar_of(name)
+    sidecar_name = name_sidecar(name)
     frames = frames_in(source, name, sidecar=lambda: source.read(sidecar_name) if sidecar_name in names else None)
     if len(frames) == 1 and kind in {"netpbm", "fits"} and (rules.pattern is not None or frames[0].time is None):
         frame = timed_picture(source, name, rules, names=names)
         return [frame._replace(exposure_us=frames[0].exposure_us or frame.exposure_us)]
     named = _named(source, name)
     family = HEADER_FAMILIES[str(kind)]
-    return [_in_range(_of_header(frame, name, named, rules, family=family), name) for frame in frames]
+    return [_in_range(_header_frame(frame, name, named, rules, family=family), name) for frame in frames]
 
 
 def _named(source: ImageSource, name: str) -> NamedTime | None:
@@ -199,7 +199,7 @@ def _named(source: ImageSource, name: str) -> NamedTime | None:
 
 
 def _in_range(frame: TimedFrame, name: str) -> TimedFrame:
-    if is_of_images(frame.time):
+    if is_plausible_time(frame.time):
         return frame
     written = frame.time.isoformat(timespec="seconds")
     raise FindingError(name, Finding("file_time_range", {"written": written}))
@@ -212,21 +212,23 @@ def timed_picture(source: ImageSource, name: str, rules: TimeRules, *, names: Co
 
 def _timed_picture(source: ImageSource, name: str, rules: TimeRules, *, names: Collection[str]) -> TimedFrame:
     path = PurePosixPath(name)
-    sidecar_name = sidecar_of(name)
+    sidecar_name = name_sidecar(name)
     named = _named(source, name)
     prefix = "" if named is None else named.prefix
     if rules.pattern is not None:
         return _by_pattern(source, path, rules, prefix)
     if sidecar_name in names:
-        time, exposure_us = sidecar_time(content_of(source, sidecar_name), sidecar_name, exposure_of_name(path.name))
+        time, exposure_us = sidecar_time(
+            read_content(source, sidecar_name), sidecar_name, parse_name_exposure(path.name)
+        )
         return TimedFrame(0, time, exposure_us, "sidecar", prefix)
-    composed = _of_document(source, name) if rules.documents else None
+    composed = _document_time(source, name) if rules.documents else None
     if composed is not None:
-        return TimedFrame(0, composed, exposure_of_name(path.name), "document", prefix)
-    return _of_picture(source, name, named, rules)
+        return TimedFrame(0, composed, parse_name_exposure(path.name), "document", prefix)
+    return _picture_frame(source, name, named, rules)
 
 
-def _of_document(source: ImageSource, name: str) -> datetime | None:
+def _document_time(source: ImageSource, name: str) -> datetime | None:
     """Return the time that one of our own composites states; None for other pictures. A preview is refused."""
     stated = document_in(source, name).get("time_utc")
     try:
@@ -237,19 +239,19 @@ def _of_document(source: ImageSource, name: str) -> datetime | None:
 
 def _by_pattern(source: ImageSource, path: PurePosixPath, rules: TimeRules, prefix: str) -> TimedFrame:
     pattern = str(rules.pattern)
-    written = time_pattern(pattern).read(stem_of(f"{source.address.rstrip('/')}/{path}"))
+    written = time_pattern(pattern).read(path_stem(f"{source.address.rstrip('/')}/{path}"))
     if written is None:
         raise FindingError(path.name, Finding("file_time_pattern", {"pattern": pattern}))
     utc = _utc(*written, path.name, rules)
-    return TimedFrame(0, utc, exposure_of_name(path.name), "pattern", prefix)
+    return TimedFrame(0, utc, parse_name_exposure(path.name), "pattern", prefix)
 
 
-def _of_picture(source: ImageSource, name: str, named: NamedTime | None, rules: TimeRules) -> TimedFrame:
-    exposure_us = exposure_of_name(name)
+def _picture_frame(source: ImageSource, name: str, named: NamedTime | None, rules: TimeRules) -> TimedFrame:
+    exposure_us = parse_name_exposure(name)
     prefix = "" if named is None else named.prefix
     if named is not None and (named.ahead is not None or rules.offset is not None):
         return TimedFrame(0, _utc(named.time, named.ahead, name, rules), exposure_us, named.family, prefix)
-    found = _from_header(content_of(source, name))
+    found = _from_header(read_content(source, name))
     if found is not None and (found[0].tzinfo is not None or named is None):
         return TimedFrame(0, _in_utc(found[0], name, rules), exposure_us, found[1], prefix)
     if named is None:
@@ -257,7 +259,7 @@ def _of_picture(source: ImageSource, name: str, named: NamedTime | None, rules: 
     return TimedFrame(0, _utc(named.time, named.ahead, name, rules), exposure_us, named.family, prefix)
 
 
-def _of_header(frame: FileImage, name: str, named: NamedTime | None, rules: TimeRules, *, family: str) -> TimedFrame:
+def _header_frame(frame: FileImage, name: str, named: NamedTime | None, rules: TimeRules, *, family: str) -> TimedFrame:
     """Return a frame with the time of its file's header, or of its name where it has none."""
     prefix = "" if named is None else named.prefix
     if frame.time is not None:
@@ -282,13 +284,13 @@ def _mobotix_time(fields: dict[bytes, str]) -> datetime | None:
     """Return the time of a Mobotix header: seconds since 1970, else its local time, naive without a known zone."""
     with suppress(ValueError, OverflowError, KeyError):
         time = utc_time(float(fields[b"TIT"]))
-        if is_of_images(time):
+        if is_plausible_time(time):
             return time
     try:
         local = datetime.fromisoformat(f"{fields[b'DAT'].strip()}T{fields[b'TIM'].strip()}")
     except (ValueError, KeyError):  # digits that are no date
         return None
-    ahead = zone_of(fields.get(b"TZN", ""))
+    ahead = parse_zone(fields.get(b"TZN", ""))
     return local if ahead is None else local.replace(tzinfo=timezone(ahead))
 
 
@@ -321,7 +323,7 @@ def _in_utc(time: datetime, name: str, rules: TimeRules) -> datetime:
     try:
         if time.tzinfo is not None or rules.offset is None:
             return time.astimezone(UTC)
-        return utc_of_local(time, rules.offset, name=name)
+        return local_to_utc(time, rules.offset, name=name)
     except OverflowError:
         raise FindingError(name, Finding("file_time_unknown")) from None
 
@@ -330,7 +332,7 @@ def _unknown_zone(name: str, time: datetime) -> FindingError:
     return FindingError(name, Finding("file_time_zone", {"written": time.isoformat(timespec="seconds")}))
 
 
-def exposure_of_name(name: str) -> float | None:
+def parse_name_exposure(name: str) -> float | None:
     """Return the exposure in microseconds in a file's name (``_<n>us``), None without one."""
     match = _EXPOSURE.search(name)
     return float(match.group(1)) if match else None

@@ -26,13 +26,13 @@ from sunarc.sky.days import solar_date
 from sunarc.sky.site import Site
 from sunarc.sky.sun import DARK_ZENITH_DEG, sun_angles
 from sunarc.sources.detect_files import Method
-from sunarc.sources.file_kinds import ONE_IMAGE, is_derived, kind_of, unread_finding
+from sunarc.sources.file_kinds import ONE_IMAGE, find_kind, is_derived, unread_finding
 from sunarc.sources.files import read_file
-from sunarc.sources.image_files import UPRIGHT, image_size, orientation_of
+from sunarc.sources.image_files import UPRIGHT, exif_orientation, image_size
 from sunarc.sources.image_key import ImageKey, image_key
-from sunarc.sources.image_times import TimedFrame, TimeRules, timed_frames, utc_offset_of
+from sunarc.sources.image_times import TimedFrame, TimeRules, parse_utc_offset, timed_frames
 from sunarc.sources.source_files import ImageSource, SourceFile
-from sunarc.sources.sources import hash_of, open_source
+from sunarc.sources.sources import content_hash, open_source
 from sunarc.sources.time_patterns import checked_pattern
 
 ReportProgress = Callable[[str, int, int], None]
@@ -68,7 +68,7 @@ class ArchiveImage(NamedTuple):
     @property
     def name(self) -> str:
         """The file's name as tables show it: its path, with the name of its source before it."""
-        return _shown(self.address, self.path)
+        return _show_path(self.address, self.path)
 
     @property
     def named(self) -> ImageKey:
@@ -81,7 +81,7 @@ class ArchiveImage(NamedTuple):
         return image_key(self.time_us, self.exposure_us, self.path)
 
 
-def _shown(address: str, path: str) -> str:
+def _show_path(address: str, path: str) -> str:
     return f"{PurePosixPath(address).name}/{path}"
 
 
@@ -191,7 +191,7 @@ class Indexed(NamedTuple):
     def untimed(self) -> list[Failure]:
         """Frames that state no time where they have to: FITS. Other pictures in a folder may have none by right."""
         unknown = [one for one in self.failures if one.finding.code == "file_time_unknown"]
-        return [one for one in unknown if kind_of(one.file) == "fits"]
+        return [one for one in unknown if find_kind(one.file) == "fits"]
 
 
 class _Found(NamedTuple):
@@ -212,7 +212,7 @@ def index_archive(plans: Sequence[CameraPlan]) -> Indexed:
     indexed, taken = Indexed([], [], []), {plan.name for plan in plans}
     for plan in plans:
         found, failed = _found(plan)
-        indexed.failures.extend(Failure(_shown(address, file), finding) for address, file, finding in failed)
+        indexed.failures.extend(Failure(_show_path(address, file), finding) for address, file, finding in failed)
         taken.discard(plan.name)
         by_prefix = defaultdict(list)
         for one in found:
@@ -237,21 +237,21 @@ def _by_size(
     Where one size follows the other they are states of one camera, else those of several. Images of a size that hardly
     any has stay with the first, which refuses them.
     """
-    some = _sampled([one.image for one in members])
-    sampled = Counter(map(_size_of, some))
+    some = _sample_images([one.image for one in members])
+    sampled = Counter(map(_stated_size, some))
     others = [size for size, n in sampled.most_common()[1:] if size is not None and n >= _OTHER_SIZE * len(some)]
     if plan.image_size is not None or not others:
         yield plan, members, ()
         return
     of_size: dict[tuple[int, int] | None, list[_Found]] = defaultdict(list)
     for one in members:
-        of_size[_size_of(one.image)].append(one)
+        of_size[_stated_size(one.image)].append(one)
     large = {size: found for size, found in of_size.items() if size is not None and len(found) >= _FEWEST_OF_SIZE}
     if not large:
         yield plan, members, ()
         return
     usual, *rest = sorted(large, key=lambda size: -len(large[size]))
-    changed = tuple(_resized(size, large[size]) for size in rest)
+    changed = tuple(_resized_finding(size, large[size]) for size in rest)
     few = [one for size, found in of_size.items() if size not in large for one in found]
     of = plan.name if _is_one_after_the_other(list(large.values())) else None
     parts = [(replace(plan, image_size=usual, part_of=of), [*large[usual], *few], changed)]
@@ -267,7 +267,7 @@ def _is_one_after_the_other(parts: Sequence[Sequence[_Found]]) -> bool:
     return all(before[1] < after[0] for before, after in itertools.pairwise(spans))
 
 
-def _resized(size: tuple[int, int], found: Sequence[_Found]) -> Finding:
+def _resized_finding(size: tuple[int, int], found: Sequence[_Found]) -> Finding:
     first = rfc3339(min(one.frame.time for one in found), timespec="seconds")
     return Finding("image_size_changed", {"n": len(found), "width": size[0], "height": size[1], "first": first})
 
@@ -301,11 +301,11 @@ def index_folder(plan: CameraPlan) -> tuple[CameraImages, list[Failure]]:
     found, failed = _found(plan)
     if not found and not failed and plan.selector.only is None:
         raise InputError(field=folder, problem="has no images", remedy="name a folder of PNG, JPEG or TIFF files")
-    images, copies = _single(sorted(one.image for one in found), same=_content_of)
+    images, copies = _single(sorted(one.image for one in found), same=_content_hash)
     parts = _by_sun(images, plan, nights=True)
     left_out = [
         *((file, finding) for _, file, finding in failed),
-        *((one.path, _copy_of(one)) for one in copies),
+        *((one.path, _copy_finding(one)) for one in copies),
         *((one.path, finding) for one, finding in parts.dusk),
     ]
     size = plan.image_size or _usual_size(parts.day) or (0, 0)
@@ -332,19 +332,19 @@ def _found(plan: CameraPlan) -> tuple[list[_Found], list[tuple[str, str, Finding
         for file in files:
             if not plan.selector.takes(file.name) or is_derived(file.name):
                 continue
-            if kind_of(file.name) is None:
+            if find_kind(file.name) is None:
                 unread = unread_finding(file.name)
                 failed += [] if unread is None else [(address, file.name, unread)]
                 continue
             try:
-                found += list(_timed(source, file, plan, names))
+                found += list(_date_images(source, file, plan, names))
             except FindingError as error:
                 failed.append((address, file.name, error.finding))
     return found, failed
 
 
-def _timed(source: ImageSource, file: SourceFile, plan: CameraPlan, names: set[str]) -> Iterator[_Found]:
-    if file.size > MOST_BYTES and kind_of(file.name) in ONE_IMAGE:
+def _date_images(source: ImageSource, file: SourceFile, plan: CameraPlan, names: set[str]) -> Iterator[_Found]:
+    if file.size > MOST_BYTES and find_kind(file.name) in ONE_IMAGE:
         raise FindingError(file.name, Finding("file_too_large", {"bytes": file.size, "most": MOST_BYTES}))
     for frame in timed_frames(source, file.name, plan.rules, names=names):
         time_us = to_microseconds(frame.time)
@@ -364,7 +364,7 @@ def _add(indexed: Indexed, plan: CameraPlan, members: list[_Found], notes: tuple
         }
         indexed.refused.append(Failure(plan.name, Finding("cameras_mixed", mixed)))
         return
-    indexed.failures.extend(Failure(one.name, _copy_of(one)) for one in copies)
+    indexed.failures.extend(Failure(one.name, _copy_finding(one)) for one in copies)
     parts = _by_sun(images, plan, nights=True)
     usual = parts.day or parts.night
     indexed.failures.extend(Failure(one.name, finding) for one, finding in parts.dusk)
@@ -449,36 +449,36 @@ def _single(
     return list(single.values()), copies
 
 
-def _content_of(image: ArchiveImage) -> str:
+def _content_hash(image: ArchiveImage) -> str:
     """Return the hash of the content of an image's file; of one that cannot be read its path."""
     try:
-        return hash_of(open_source(image.address).read(image.file))
+        return content_hash(open_source(image.address).read(image.file))
     except OSError:
         return image.path
 
 
-def _copy_of(copy: ArchiveImage) -> Finding:
+def _copy_finding(copy: ArchiveImage) -> Finding:
     return Finding("file_copy", {"file": PurePosixPath(copy.file).name})
 
 
 def _usual_size(images: Sequence[ArchiveImage]) -> tuple[int, int] | None:
     """Return the size (width, height) that most of some images have; None where none can be read."""
-    counted = Counter(size for size in map(_size_of, _sampled(images)) if size is not None)
+    counted = Counter(size for size in map(_stated_size, _sample_images(images)) if size is not None)
     return counted.most_common(1)[0][0] if counted else None
 
 
-def _sampled(images: Sequence[Taken]) -> Sequence[Taken]:
+def _sample_images(images: Sequence[Taken]) -> Sequence[Taken]:
     return images[:: len(images) // _SAMPLED + 1]
 
 
-def _size_of(image: ArchiveImage) -> tuple[int, int] | None:
+def _stated_size(image: ArchiveImage) -> tuple[int, int] | None:
     return image_size(open_source(image.address), image.file, image.number)
 
 
 def _orientation(images: Sequence[ArchiveImage]) -> Finding | None:
     """Return the orientation that EXIF states of a camera's images; None where it is upright."""
-    some = _sampled(images)
-    turned = Counter(orientation_of(open_source(one.address), one.file) for one in some)
+    some = _sample_images(images)
+    turned = Counter(exif_orientation(open_source(one.address), one.file) for one in some)
     upright = turned.pop(UPRIGHT, 0)
     if not turned:
         return None
@@ -523,16 +523,18 @@ def _plan(name: str, table: object, common: CameraPlan, path: Path) -> CameraPla
     if not name or "/" in name or name.startswith(".") or len(name.encode()) > _LONGEST_NAME:
         raise InputError(field=where, problem="cannot be the name of a folder", remedy="use letters, numbers and -")
     try:
-        return _filled(name, table, common, path.parent)
+        return _fill_plan(name, table, common, path.parent)
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(field=where, problem=str(error), remedy="correct it") from None
 
 
-def _filled(name: str, table: Mapping[str, Any], common: CameraPlan, folder: Path) -> CameraPlan:
+def _fill_plan(name: str, table: Mapping[str, Any], common: CameraPlan, folder: Path) -> CameraPlan:
     sources = _get(table, "sources", lambda given: _sources(given, folder), common.selector.sources)
     rules = TimeRules(
         pattern=_get(table, "time_pattern", _pattern, common.rules.pattern),
-        offset=_get(table, "utc_offset", lambda given: utc_offset_of(given, field="utc_offset"), common.rules.offset),
+        offset=_get(
+            table, "utc_offset", lambda given: parse_utc_offset(given, field="utc_offset"), common.rules.offset
+        ),
     )
     site = replace(common.site, **{key: float(table[key]) for key in _NUMBERS if key in table})
     return replace(
@@ -544,7 +546,7 @@ def _filled(name: str, table: Mapping[str, Any], common: CameraPlan, folder: Pat
         image_size=_get(table, "image_size", _size, common.image_size),
         clock_error_s=_get(table, "clock_error", clock_bound_s, common.clock_error_s),
         calibration=_get(table, "calibration", lambda given: folder / str(given), common.calibration),
-        method=_get(table, "method", _one_of("auto", "disc", "paper"), common.method),
+        method=_get(table, "method", _make_choice_check("auto", "disc", "paper"), common.method),
         options=replace(
             common.options,
             projection=_stated(table, "projection", (*PROJECTIONS, "auto"), common.options.projection, unstated="auto"),
@@ -560,7 +562,7 @@ def _pattern(given: object) -> str:
 
 def _stated(table: Mapping[str, Any], key: str, choices: Sequence[str], common: Any, *, unstated: str | None) -> Any:  # noqa: ANN401
     """Return the statement of a camera or the command line; ValueError where both state it, and differently."""
-    found = _get(table, key, _one_of(*choices), common)
+    found = _get(table, key, _make_choice_check(*choices), common)
     if common not in {unstated, found}:
         raise ValueError(f"{key} is {found!r}, where --{key} {common} is given; give it in one place")
     return found
@@ -593,7 +595,7 @@ def _size(given: Sequence[Any]) -> tuple[int, int]:
     return width, height
 
 
-def _one_of(*choices: str) -> Callable[[Any], str]:
+def _make_choice_check(*choices: str) -> Callable[[Any], str]:
     def convert(given: object) -> str:
         if given not in choices:
             raise ValueError(f"{given!r} is none of {', '.join(choices)}")

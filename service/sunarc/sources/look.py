@@ -26,7 +26,7 @@ from sunarc.detection.photo.plateau import static_mask
 from sunarc.detection.values import Detection, Expectation
 from sunarc.sky.site import Site
 from sunarc.sources.detect_files import Method, detect_in_image, estimated_full_scale, selected_method
-from sunarc.sources.image_files import image_of, images_in
+from sunarc.sources.image_files import images_in, read_one_image
 from sunarc.sources.sources import HashedSource, open_source
 
 _LARGEST_SIDE = 640
@@ -169,7 +169,7 @@ def _is_unchanged(source: HashedSource, item: Item) -> bool:
     return source.content(item.file) == item.content
 
 
-def static_mask_of(chunk: Chunk) -> PackedMask | None:
+def find_static_mask(chunk: Chunk) -> PackedMask | None:
     """Return the mask of the static parts of the images of a chunk that spans hours; None without any."""
     cv2.setNumThreads(1)
     source = open_source(chunk.address)
@@ -191,7 +191,7 @@ def _look_at_stack(chunk: Chunk, static: BoolArray | None) -> list[Answer]:
     these, and the others name that. Microsecond exposures, and files that cannot be stacked, are read one by one.
     """
     source = open_source(chunk.address)
-    images = {item: image_of(source, item.file, item.number, size=chunk.size) for item in chunk.items}
+    images = {item: read_one_image(source, item.file, item.number, size=chunk.size) for item in chunk.items}
     read = {item: image for item, image in images.items() if not isinstance(image, Finding)}
     kind = next(((image.shape, image.dtype) for image in read.values()), None)
     stack = {item: image for item, image in read.items() if (image.shape, image.dtype) == kind}
@@ -205,7 +205,7 @@ def _look_at_stack(chunk: Chunk, static: BoolArray | None) -> list[Answer]:
         found[first] = (
             _no_sun("paper", first.exposure_us)
             if first.outside
-            else _tried(partial(detect_sun_in_stack, photos, expectation=first.expectation))
+            else _try_detector(partial(detect_sun_in_stack, photos, expectation=first.expectation))
         )
     for item, image in images.items():
         if item not in found:
@@ -222,7 +222,7 @@ def _member(first: Item, item: Item) -> Detection:
 def _look(image: Image, item: Item, chunk: Chunk, static: BoolArray | None) -> Detection | Finding:
     if item.outside:
         return _no_sun(selected_method(image, chunk.method, full_scale=estimated_full_scale(image)), item.exposure_us)
-    found = _tried(
+    found = _try_detector(
         partial(
             detect_in_image,
             image,
@@ -236,7 +236,7 @@ def _look(image: Image, item: Item, chunk: Chunk, static: BoolArray | None) -> D
     return found if isinstance(found, Finding) else _as_reflection(found, item)
 
 
-def _tried(detect: Callable[[], Detection]) -> Detection | Finding:
+def _try_detector(detect: Callable[[], Detection]) -> Detection | Finding:
     try:
         return detect()
     except InputError as error:  # a method that takes no such image
@@ -275,6 +275,6 @@ def code_hash(folder: Path) -> str:
     return hashed.hexdigest()
 
 
-def key_of(parts: Iterable[object]) -> str:
+def result_key(parts: Iterable[object]) -> str:
     """Return a hash of the values that decide a result."""
     return hashlib.blake2b(repr(tuple(parts)).encode(), digest_size=12).hexdigest()

@@ -20,7 +20,7 @@ _FIRST_YEAR, _LAST_YEAR = 1970, 2100
 """No sky camera wrote files before."""
 
 
-def is_of_images(time: datetime) -> bool:
+def is_plausible_time(time: datetime) -> bool:
     """Return whether a time is within the years 1970 to 2100: others are of damaged names, headers and clocks."""
     return _FIRST_YEAR <= time.year <= _LAST_YEAR
 
@@ -63,7 +63,7 @@ _HOURS = r"(?P<hours>\d{1,2})(?:[:_-]?(?P<minutes>00|15|30|45))?(?![0-9A-Za-z])"
 _ZONE = re.compile(rf"(?:(?P<letters>[A-Z]{{1,5}})|(?P<base>UTC|GMT)?(?P<sign>[+-]){_HOURS})$", re.ASCII)
 
 
-def zone_of(text: str) -> timedelta | None:
+def parse_zone(text: str) -> timedelta | None:
     """Return how far a zone as "CEST", "+02:00" or "GMT+5:30" is ahead of UTC; None where that has not one sense."""
     found = _ZONE.match(text.strip().upper())
     if found is None:
@@ -125,7 +125,7 @@ FAMILIES = (
 """Known families, the most specific first."""
 
 
-def _of_family(path: str) -> NamedTime | None:
+def _match_family(path: str) -> NamedTime | None:
     for family in FAMILIES:
         match = family.pattern.search(path if "/" in family.pattern.pattern else PurePosixPath(path).name)
         if match is not None:
@@ -143,7 +143,7 @@ def _time(numbers: list[str]) -> datetime | None:
         time = datetime(*(int(number) for number in numbers))  # type: ignore[arg-type] # noqa: DTZ001 - of a name
     except ValueError:
         return None
-    return time if is_of_images(time) else None
+    return time if is_plausible_time(time) else None
 
 
 # Any other names.
@@ -175,7 +175,7 @@ def time_in_name(path: str) -> NamedTime | None:
 
     None where it states none, or has more than one reading.
     """
-    named = _of_family(path)
+    named = _match_family(path)
     if named is not None:
         return named
     name = PurePosixPath(path).name
@@ -189,8 +189,8 @@ def ambiguous_times(name: str) -> tuple[str, str] | None:
     """Return two readings of a name that has more than one; None for others. A reading that is no time is "-"."""
     last = _year_last(name)
     if last is not None:
-        return _shown(last[0]), _shown(last[1])
-    found = list(dict.fromkeys(_shown(one.time, one.ahead) for one in _readings(name)))
+        return _show_time(last[0]), _show_time(last[1])
+    found = list(dict.fromkeys(_show_time(one.time, one.ahead) for one in _readings(name)))
     if len(found) > 1:
         return found[0], found[1]
     return None if found else _short_year(name) or _since_1970(name)
@@ -202,7 +202,7 @@ def _short_year(name: str) -> tuple[str, str] | None:
         first, month, last, *clock = match.group(1, 3, 4, 5, 6, 7)
         times = [_time([f"20{year}", month, day, *clock]) for year, day in ((first, last), (last, first))]
         if any(times):
-            return _shown(times[0]), _shown(times[1])
+            return _show_time(times[0]), _show_time(times[1])
     return None
 
 
@@ -213,7 +213,7 @@ def _since_1970(name: str) -> tuple[str, str] | None:
         return None
     at = datetime.fromtimestamp(int(digits[0][:10]), UTC).replace(tzinfo=None)
     short = None if digits[6] else _time([f"20{digits[1]}", *digits.group(2, 3, 4, 5), "0"])
-    return _shown(at), _shown(short)
+    return _show_time(at), _show_time(short)
 
 
 def _year_last(name: str) -> tuple[datetime | None, datetime | None] | None:
@@ -236,7 +236,7 @@ def _numbers(match: re.Match[str]) -> list[str]:
     return [one for one in match.group(1, 3, 4, 6, 7, 8, 9, 10, 11) if one is not None]
 
 
-def _shown(time: datetime | None, ahead: timedelta | None = None) -> str:
+def _show_time(time: datetime | None, ahead: timedelta | None = None) -> str:
     if time is None:
         return "-"
     return (time if ahead is None else time.replace(tzinfo=UTC) - ahead).isoformat(timespec="seconds")
@@ -249,7 +249,7 @@ def _readings(name: str) -> list[NamedTime]:
         time, rest = _time(_numbers(match)), _REST.match(name, match.end())
         if time is None or rest is None:
             continue
-        clock = [_with_half(time, rest["half"])] if rest["half"] else [time]
+        clock = [_apply_half_day(time, rest["half"])] if rest["half"] else [time]
         seconds = float(f"0.{match['run']}") if match["run"] else float("0." + (rest["fraction"] or "-0")[1:])
         iso = "T" in match["between"]
         for at in clock:
@@ -262,7 +262,7 @@ def _readings(name: str) -> list[NamedTime]:
     return found
 
 
-def _with_half(time: datetime, half: str) -> datetime | None:
+def _apply_half_day(time: datetime, half: str) -> datetime | None:
     """Return the time of a clock of 12 hours; None where it shows another hour."""
     if not 1 <= time.hour <= 12:
         return None
@@ -277,10 +277,10 @@ def _zones(rest: re.Match[str], name: str, *, iso: bool) -> Iterator[timedelta |
         if not _UNREAD_ZONE.match(name, rest.end()):
             yield None
     else:
-        yield from _signed(rest, iso=iso)
+        yield from _signed_offsets(rest, iso=iso)
 
 
-def _signed(rest: re.Match[str], *, iso: bool) -> Iterator[timedelta | None]:
+def _signed_offsets(rest: re.Match[str], *, iso: bool) -> Iterator[timedelta | None]:
     ahead, whole = _ahead(rest), rest["minutes"] is not None and len(rest["hours"]) == 2
     if rest["sign"] == "+":
         if ahead is not None:

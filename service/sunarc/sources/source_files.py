@@ -113,7 +113,7 @@ _RATIO, _LEAST_INFLATED = 100, 1 << 26
 """A compressed file is inflated to so many times its size, or so many bytes: images do not compress further."""
 
 
-def content_of(source: ImageSource, name: str) -> bytes:
+def read_content(source: ImageSource, name: str) -> bytes:
     """Return a file's content as it is stored; FindingError where it cannot be read."""
     try:
         return source.read(name)
@@ -129,7 +129,7 @@ def opened(source: ImageSource, name: str) -> Iterator[BinaryIO]:
     ------
     FindingError : it cannot be read, it is damaged, or it inflates to far more than images do.
     """
-    content = io.BytesIO(content_of(source, name))
+    content = io.BytesIO(read_content(source, name))
     try:
         yield Inflated(content) if name.lower().endswith(".gz") else content  # type: ignore[misc] # what is read of it
     except EOFError:

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 from sunarc.common.errors import InputError, OutsideError
 from sunarc.common.extras import extra_module
 from sunarc.common.foreign_files import name_path, name_text, open_regular, read_regular
-from sunarc.sources.file_kinds import kind_of
+from sunarc.sources.file_kinds import find_kind
 from sunarc.sources.source_files import ImageSource, SourceFile
 
 
@@ -35,7 +35,7 @@ def open_source(address: str) -> ImageSource:
     if "://" in address:
         return Remote(address)
     path = Path(name_path(address))
-    if path.is_dir() or (path.is_file() and kind_of(address) is not None):
+    if path.is_dir() or (path.is_file() and find_kind(address) is not None):
         return Folder(address)
     if not path.is_file():
         raise InputError(field=address, problem="is neither a folder nor a file", remedy="name a folder or an archive")
@@ -81,7 +81,7 @@ _HASH_BYTES = 16
 """Two of 1e9 files have the same hash by chance with a probability of 1e-21."""
 
 
-def hash_of(content: bytes) -> str:
+def content_hash(content: bytes) -> str:
     """Return the hash of a file's content, 32 hexadecimal digits."""
     return hashlib.blake2b(content, digest_size=_HASH_BYTES).hexdigest()
 
@@ -107,7 +107,7 @@ class HashedSource:
         if self._last is None or self._last[0] != name:
             self._last = None  # two large files are not in memory at once
             content = self._source.read(name)
-            self._last = (name, content, hash_of(content))
+            self._last = (name, content, content_hash(content))
         return self._last[1]
 
     def path(self, name: str) -> Path | None:
@@ -131,7 +131,7 @@ class Remote:
 
     def files(self) -> Iterator[SourceFile]:
         """Yield all files below it."""
-        system, root = _system_of(self.address)
+        system, root = _open_filesystem(self.address)
         try:
             found: dict[str, dict[str, Any]] = system.find(root, detail=True)
         except (OSError, ValueError) as error:
@@ -143,7 +143,7 @@ class Remote:
 
     def read(self, name: str) -> bytes:
         """Return a file's content."""
-        system, root = _system_of(self.address)
+        system, root = _open_filesystem(self.address)
         return bytes(system.cat_file(f"{root.rstrip('/')}/{name_path(name)}"))
 
     def path(self, name: str) -> None:
@@ -152,7 +152,7 @@ class Remote:
 
 
 @cache
-def _system_of(address: str) -> tuple[Any, str]:
+def _open_filesystem(address: str) -> tuple[Any, str]:
     core = extra_module("fsspec.core", extra="remote")
     try:
         system, root = core.url_to_fs(address)
@@ -174,14 +174,14 @@ class TarFile:
 
     def files(self) -> Iterator[SourceFile]:
         """Yield all files in it, stamped with the time of their last change and their place in the archive."""
-        members = _tar_of(self.address).members
+        members = _open_tar(self.address).members
         for name in sorted(members):
             info = members[name]
             yield SourceFile(name, info.size, f"{info.mtime}-{info.offset}")
 
     def read(self, name: str) -> bytes:
         """Return a file's content."""
-        opened = _tar_of(self.address)
+        opened = _open_tar(self.address)
         if name not in opened.members:
             raise FileNotFoundError(2, "is not in the archive", name)
         member = opened.members[name]
@@ -190,7 +190,7 @@ class TarFile:
                 file.seek(member.offset_data)
                 content = file.read(member.size)
         else:
-            content = _extracted(opened.archive, member)
+            content = _extract_member(opened.archive, member)
         if len(content) != member.size:
             raise OSError(f"the archive ends within {name}")
         return content
@@ -207,7 +207,7 @@ class _Opened(NamedTuple):
     archive: tarfile.TarFile | None
 
 
-def _extracted(archive: tarfile.TarFile, member: tarfile.TarInfo) -> bytes:
+def _extract_member(archive: tarfile.TarFile, member: tarfile.TarInfo) -> bytes:
     try:
         file = archive.extractfile(member)
         return b"" if file is None else file.read()
@@ -216,17 +216,17 @@ def _extracted(archive: tarfile.TarFile, member: tarfile.TarInfo) -> bytes:
 
 
 @cache  # the headers stand between the files: a process reads them once
-def _tar_of(address: str) -> _Opened:
+def _open_tar(address: str) -> _Opened:
     for mode in ("r:", "r:*"):
         try:
             archive = tarfile.open(name_path(address), mode)  # noqa: SIM115 - closed below
         except (*_FAULTS, OSError):
             continue
-        return _listed(address, archive, compressed=mode == "r:*")
+        return _list_archive(address, archive, compressed=mode == "r:*")
     raise InputError(field=address, problem="is not a complete tar archive", remedy="copy it again")
 
 
-def _listed(address: str, archive: tarfile.TarFile, *, compressed: bool) -> _Opened:
+def _list_archive(address: str, archive: tarfile.TarFile, *, compressed: bool) -> _Opened:
     try:
         members = {name_text(info.name): info for info in archive.getmembers() if info.isfile()}
     except (*_FAULTS, OSError) as error:
@@ -249,14 +249,14 @@ class ZipFile:
 
     def files(self) -> Iterator[SourceFile]:
         """Yield all files in it; stamped with the checksum of their content."""
-        members = _members_of(self.address)
+        members = _zip_members(self.address)
         for name in sorted(members):
             yield SourceFile(name, members[name].file_size, f"{members[name].CRC:08x}")
 
     def read(self, name: str) -> bytes:
         """Return a file's content."""
         try:
-            return _zip_of(self.address).read(_members_of(self.address)[name])
+            return _open_zip(self.address).read(_zip_members(self.address)[name])
         except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, KeyError) as error:
             raise OSError(f"{type(error).__name__}: {error}") from None
 
@@ -266,7 +266,7 @@ class ZipFile:
 
 
 @cache  # the directory of a large archive takes seconds to read, and a process reads it once
-def _zip_of(address: str) -> zipfile.ZipFile:
+def _open_zip(address: str) -> zipfile.ZipFile:
     try:
         return zipfile.ZipFile(name_path(address))
     except (zipfile.BadZipFile, OSError, ValueError) as error:  # a ValueError of names that are not as it states
@@ -276,5 +276,5 @@ def _zip_of(address: str) -> zipfile.ZipFile:
 
 
 @cache
-def _members_of(address: str) -> dict[str, zipfile.ZipInfo]:
-    return {name_text(one.filename): one for one in _zip_of(address).infolist() if not one.is_dir()}
+def _zip_members(address: str) -> dict[str, zipfile.ZipInfo]:
+    return {name_text(one.filename): one for one in _open_zip(address).infolist() if not one.is_dir()}

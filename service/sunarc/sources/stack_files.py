@@ -80,7 +80,7 @@ def _parts(file: BinaryIO, name: str) -> Iterator[tuple[re.Match[bytes], Image]]
         if header is None:
             return
         if header["magic"] in _TEXT:
-            yield header, _of_text(header, left + file.read(), name)
+            yield header, _parse_text_image(header, left + file.read(), name)
             return
         image = _empty(header, name)
         pixels = image.reshape(-1).view(np.uint8).data
@@ -95,7 +95,7 @@ def _parts(file: BinaryIO, name: str) -> Iterator[tuple[re.Match[bytes], Image]]
 _TEXT = (b"2", b"3")
 
 
-def _of_text(header: re.Match[bytes], content: bytes, name: str) -> Image:
+def _parse_text_image(header: re.Match[bytes], content: bytes, name: str) -> Image:
     """Return the image of a file whose counts are written as text."""
     image = _empty(header, name)
     letters = np.frombuffer(content, np.uint8)[header.end() :]

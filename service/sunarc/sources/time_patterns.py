@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from sunarc.common.errors import InputError
 from sunarc.common.utc import EPOCH
-from sunarc.sources.name_times import zone_of
+from sunarc.sources.name_times import parse_zone
 
 DIRECTIVES = {
     "Y": (r"\d{4}", "year, four digits"),
@@ -75,7 +75,7 @@ def _local(texts: list[tuple[str, str]]) -> tuple[datetime, timedelta | None] | 
     time = datetime.strptime("\n".join(first.values()), "\n".join(f"%{letter}" for letter in first))  # noqa: DTZ007 - its zone is beside it
     if not all(_agrees(time, letter, text) for letter, text in texts):
         return None
-    zones = [zone_of(text) for letter, text in texts if letter in "zZ"]
+    zones = [parse_zone(text) for letter, text in texts if letter in "zZ"]
     if None in zones or len(set(zones)) > 1:
         return None
     return time, zones[0] if zones else None

@@ -13,9 +13,9 @@ from scipy.spatial import cKDTree
 
 from sunarc.calibration.answers.covariance import hemisphere, pose_error
 from sunarc.calibration.model.options import ImageCircle
-from sunarc.calibration.model.result import Calibration, refused_for, with_finding
+from sunarc.calibration.model.result import Calibration, add_finding, refused_for
 from sunarc.calibration.quality.tilt import tilt_question
-from sunarc.calibration.quality.widening import with_pose_errors
+from sunarc.calibration.quality.widening import add_pose_errors
 from sunarc.common.array_types import BoolArray, FloatArray
 from sunarc.common.bounds import require_bounds
 from sunarc.common.findings import Finding
@@ -37,11 +37,11 @@ from sunarc.stars.sky_turn import (
     Turning,
     Turns,
     count_on_detections,
-    pairs_of,
+    image_pairs,
     turnings,
     unmirrored,
 )
-from sunarc.stars.star_pattern import Bright, Pattern, bright_stars, camera_of, patterns
+from sunarc.stars.star_pattern import Bright, Pattern, bright_stars, pattern_camera, patterns
 from sunarc.stars.views import (
     MOST_LOG10_CHANCE,
     MatchedView,
@@ -172,7 +172,7 @@ def _nearest(
     """Return directions (n, 3) of stars and pixels (n, 2) of the detections nearest to them, each the other's."""
     directions, pixels = [np.zeros((0, 3))], [np.zeros((0, 2))]
     for image in images:
-        sky = _of_image(camera, image.sky.select(image.sky.magnitude <= faintest))
+        sky = _image_sky(camera, image.sky.select(image.sky.magnitude <= faintest))
         some = image.stars.pixels[: round(_PER_STAR_REFINEMENT * len(sky)) + 10]
         if len(sky) == 0 or some.shape[0] == 0:
             continue
@@ -185,7 +185,7 @@ def _nearest(
     return np.concatenate(directions), np.concatenate(pixels)
 
 
-def _of_image(camera: Camera, sky: NightSky) -> NightSky:
+def _image_sky(camera: Camera, sky: NightSky) -> NightSky:
     pixels = project_with_jacobian(camera, sky.directions)[0]
     size = np.array([camera.width, camera.height])
     return sky.select(np.all((pixels > -0.5) & (pixels < size - 0.5), axis=-1))
@@ -211,7 +211,7 @@ def _step(
     vector = camera.to_vector()
     vector[list(_FIT)] = now + change
     vector[Param.FOCAL_LENGTH_Y_PX] = vector[Param.FOCAL_LENGTH_X_PX]
-    return camera.with_parameters(vector), scatter
+    return camera.replace_parameters(vector), scatter
 
 
 _FEWEST_IMAGES = 2
@@ -265,7 +265,7 @@ def blind_start(
     """
     known = BlindOptions() if options is None else options
     moving = [_without_still(image, images) for image in images]
-    pairs = pairs_of([image.unix_s for image in moving], [image.stars.pixels for image in moving])
+    pairs = image_pairs([image.unix_s for image in moving], [image.stars.pixels for image in moving])
     if not pairs:
         return _by_pattern(images, site, image_size, known)
     turns = turnings(pairs, _field(site, image_size, known))
@@ -275,7 +275,7 @@ def blind_start(
     found = _hypotheses(turns, moving, images, site, image_size)
     if not found:
         return _no_camera(Finding("blind_no_stars", {"share": turns[0].share}))
-    return _decided(found, site, known)
+    return _decide(found, site, known)
 
 
 def _no_camera(*findings: Finding) -> BlindStart:
@@ -305,7 +305,7 @@ def _by_pattern(
         turn = math.degrees(SIDEREAL_RATE * float(np.ptp([image.unix_s for image in images]))) if images else 0.0
         few = {"n": len(images), "turn_deg": turn, "limit": _LEAST_TURN_DEG}
         return _no_camera(Finding("blind_few_images", few))
-    found = [one for image in lit[:_MOST_TRIED] for one in _of_pattern(image, images, site, image_size, known)]
+    found = [one for image in lit[:_MOST_TRIED] for one in _refine_patterns(image, images, site, image_size, known)]
     found.sort(key=lambda one: one.log10_chance)
     if not found or found[0].log10_chance > MOST_LOG10_CHANCE:
         chance = found[0].log10_chance if found else 0.0
@@ -315,10 +315,10 @@ def _by_pattern(
         unnamed = {"log10_chance": found[0].log10_chance}
         why = tuple(finding for one in found[0].matched for finding in one.matches.findings)
         return _no_camera(Finding("blind_pattern_not_named", unnamed), *why)
-    return _decided(found, site, known)
+    return _decide(found, site, known)
 
 
-def _of_pattern(
+def _refine_patterns(
     image: NightDetections,
     images: Sequence[NightDetections],
     site: Site,
@@ -343,7 +343,7 @@ def _of_pattern(
 
     x, y = field.centre
     centres = {False: (x, y), True: (image_size[0] - 1.0 - x, y)}
-    nearer = [refined(camera_of(one, centres[one.mirrored], image_size), alone, _FIRST_ROUNDS) for one in rough]
+    nearer = [refined(pattern_camera(one, centres[one.mirrored], image_size), alone, _FIRST_ROUNDS) for one in rough]
     first = [one.camera for one in nearer if one is not None]
     first.sort(key=chance)
     found: list[_Hypothesis] = []
@@ -432,7 +432,7 @@ def _same(first: Camera, second: Camera) -> bool:
     return bool(np.nanmedian(apart) < _SAME_DEG) if np.any(np.isfinite(apart)) else False
 
 
-def _decided(found: Sequence[_Hypothesis], site: Site, options: BlindOptions) -> BlindStart:
+def _decide(found: Sequence[_Hypothesis], site: Site, options: BlindOptions) -> BlindStart:
     best = found[0]
     rival = next((one for one in found[1:] if one.stars > _MUCH_LESS * best.stars), None)
     accepted = [view.unix_s for view, one in zip(best.views, best.matched, strict=True) if one.matches.accepted]
@@ -501,7 +501,7 @@ def phases(
             turn = rotation_matrix(angles[row] * turning.pole)
             best, (x, y) = float(share[row]), turning.centre.tolist()
             pattern = Pattern(best, turning.mirrored, turning.focal_px, turning.shape, turn @ first)
-            found.append((best, camera_of(pattern, (x, y), image_size)))
+            found.append((best, pattern_camera(pattern, (x, y), image_size)))
         if len(found) == _KEPT:
             break
     return found
@@ -528,7 +528,7 @@ def _frame(axis: FloatArray) -> FloatArray:
     return np.stack([first, np.cross(axis, first), axis])
 
 
-def with_clock_error(calibration: Calibration, clock_error_s: float, *, limit_deg: float) -> Calibration:
+def add_star_clock_error(calibration: Calibration, clock_error_s: float, *, limit_deg: float) -> Calibration:
     """Return a calibration by stars alone whose uncertainty holds an error of the clock, which its verdict states.
 
     A clock that is wrong turns the sky about the pole, and the fit the camera: nothing in images tells the two apart.
@@ -541,13 +541,13 @@ def with_clock_error(calibration: Calibration, clock_error_s: float, *, limit_de
     limit_deg : of the 1-sigma over the sky, degrees.
     """
     camera, site = calibration.camera, calibration.site
-    wider = with_pose_errors(calibration, pose_error(camera, site, clock_error_s=clock_error_s, site_error_m=0.0))
+    wider = add_pose_errors(calibration, pose_error(camera, site, clock_error_s=clock_error_s, site_error_m=0.0))
     latitude, turn = math.radians(site.latitude), math.degrees(EARTH_RATE * clock_error_s)
     turns = {"turn_deg": turn, "north_deg": turn * abs(math.sin(latitude)), "tilt_deg": turn * math.cos(latitude)}
     wider = replace(wider, evidence=replace(wider.evidence, clock_error_s=clock_error_s))
     clock = Finding("pose_or_clock", {"clock_error_s": clock_error_s, **turns})
     if wider.sky_rms_deg <= limit_deg or not wider.verdict.accepted:
-        return with_finding(wider, clock)
+        return add_finding(wider, clock)
     of_sigma = {"sigma_deg": wider.sky_rms_deg, "limit_deg": limit_deg, "scatter_px": wider.evidence.sigma_px}
     counts = {"n": wider.metrics.n, "days": len(wider.evidence.days)}
     return refused_for(wider, Finding("direction_sigma_too_large", {**of_sigma, **counts}), clock)

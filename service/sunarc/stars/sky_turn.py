@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from sunarc.common.array_types import BoolArray, FloatArray, IntArray
 from sunarc.optics.forward import tangent_basis
 from sunarc.optics.pose import rotation_matrix
-from sunarc.optics.projections import PROJECTIONS, Projection, angle_of_shape, ideal_radius, radius_of_shape
+from sunarc.optics.projections import PROJECTIONS, Projection, ideal_radius, shape_angle, shape_radius
 
 # The search: how many detections of one image come onto those of another.
 
@@ -48,7 +48,7 @@ def _counts(
         across = np.hypot(u, v)
         theta = np.arctan2(across, w)
         inside = theta <= largest
-        scale = radius_of_shape(shape, np.minimum(theta, widest)) / np.maximum(across, 1e-12) / half
+        scale = shape_radius(shape, np.minimum(theta, widest)) / np.maximum(across, 1e-12) / half
         column, row = ((0.5 * n * (along * scale + 1.0)).astype(np.int64) for along in (u, v))
         within = inside & (column >= 0) & (column < n) & (row >= 0) & (row < n)
         hits = np.count_nonzero(near[row * within, column * within] & within, axis=1)
@@ -111,16 +111,16 @@ def turned(rays: FloatArray, pole: FloatArray, angle: float) -> FloatArray:
 _POWERS = (2, 3, 4, 5)
 
 
-def angle_of_radius(radius: FloatArray, shape: float) -> FloatArray:
+def radius_to_angle(radius: FloatArray, shape: float) -> FloatArray:
     """Return angles off the axis (rad) of radii in focal lengths; of those beyond the lens's end its largest."""
-    angle = angle_of_shape(shape, radius)
+    angle = shape_angle(shape, radius)
     return np.where(shape * radius < -1.0, 0.5 * math.pi / -shape, angle) if shape < 0.0 else angle
 
 
-def radius_of_angle(angle: FloatArray, shape: float) -> FloatArray:
+def angle_to_radius(angle: FloatArray, shape: float) -> FloatArray:
     """Return radii in focal lengths of angles off the axis (rad)."""
     rising = (0.49 if shape > 0.0 else 0.5) * math.pi
-    return radius_of_shape(shape, np.minimum(angle, rising / abs(shape)) if shape else angle)
+    return shape_radius(shape, np.minimum(angle, rising / abs(shape)) if shape else angle)
 
 
 def nearest_projection(shape: float) -> Projection:
@@ -132,7 +132,7 @@ def radial_for(shape: float, projection: Projection) -> tuple[float, ...]:
     """Return k2 … k9 of a camera of an ideal projection that has this shape, by least squares to 90 degrees."""
     angle = np.linspace(0.05, min(MAX_ANGLE, 0.5 * math.pi), 60)
     design = np.stack([(angle / (0.5 * math.pi)) ** power for power in _POWERS], axis=-1)
-    difference = radius_of_angle(angle, shape) - ideal_radius(projection, angle)
+    difference = angle_to_radius(angle, shape) - ideal_radius(projection, angle)
     found = np.linalg.lstsq(design, difference, rcond=None)[0]
     return (*(float(value) for value in found), *(0.0,) * (8 - len(_POWERS)))
 
@@ -201,7 +201,7 @@ class SearchRange:
     width: int
 
 
-def pairs_of(unix_s: Sequence[float], pixels: Sequence[FloatArray]) -> list[Pair]:
+def image_pairs(unix_s: Sequence[float], pixels: Sequence[FloatArray]) -> list[Pair]:
     """Return pairs of images between which the sky turned by 3 to 45 degrees, those nearest to 15 first."""
     found = []
     for first in range(len(unix_s)):
@@ -222,11 +222,11 @@ def pairs_of(unix_s: Sequence[float], pixels: Sequence[FloatArray]) -> list[Pair
 
 def turnings(pairs: Sequence[Pair], field: SearchRange) -> list[Turning]:
     """Return the refined hypotheses of both handednesses, the best first."""
-    found = [one for mirrored in (False, True) for one in _of_handedness(pairs, field, mirrored=mirrored)]
+    found = [one for mirrored in (False, True) for one in _find_turnings(pairs, field, mirrored=mirrored)]
     return sorted(found, key=lambda one: -one.share)
 
 
-def _of_handedness(pairs: Sequence[Pair], field: SearchRange, *, mirrored: bool) -> list[Turning]:
+def _find_turnings(pairs: Sequence[Pair], field: SearchRange, *, mirrored: bool) -> list[Turning]:
     flipped = [
         one._replace(
             first=unmirrored(one.first, field.width, mirrored=mirrored),
@@ -265,7 +265,7 @@ def unmirrored(pixels: FloatArray, width: int, *, mirrored: bool) -> FloatArray:
 
 def focal_lengths(radius_px: tuple[float, float], shape: float, *, step: float) -> list[float]:
     """Return focal lengths, px, a factor apart, from the least to the greatest radius of 90 degrees off the axis."""
-    least, greatest = (radius / float(radius_of_angle(np.array(0.5 * math.pi), shape)) for radius in radius_px)
+    least, greatest = (radius / float(angle_to_radius(np.array(0.5 * math.pi), shape)) for radius in radius_px)
     count = max(math.ceil(math.log(greatest / least) / math.log(step)), 1) + 1
     values: list[float] = np.geomspace(least, greatest, count).tolist()
     return values
@@ -298,14 +298,14 @@ def _rays(pixels: FloatArray, centre: FloatArray, focal: float, shape: float) ->
     """Return unit vectors (n, 3) in the camera's frame."""
     away = (pixels - centre) / focal
     radius = np.hypot(*away.T)
-    angle = np.minimum(angle_of_radius(radius, shape), math.pi)
+    angle = np.minimum(radius_to_angle(radius, shape), math.pi)
     scale = np.sin(angle) / np.maximum(radius, 1e-12)
     return np.stack([away[:, 0] * scale, away[:, 1] * scale, np.cos(angle)], axis=-1)
 
 
 def _pixels(rays: FloatArray, centre: FloatArray, focal: float, shape: float) -> FloatArray:
     across = np.hypot(rays[:, 0], rays[:, 1])
-    radius = radius_of_angle(np.arctan2(across, rays[:, 2]), shape)
+    radius = angle_to_radius(np.arctan2(across, rays[:, 2]), shape)
     return np.asarray(centre + focal * rays[:, :2] * (radius / np.maximum(across, 1e-12))[:, None])
 
 

@@ -22,10 +22,10 @@ from sunarc.optics.forward import project_fast
 from sunarc.optics.pose import rotation_matrix, rotation_vector
 from sunarc.stars.sky_turn import (
     MAX_ANGLE,
-    angle_of_radius,
     focal_lengths,
     nearest_projection,
     radial_for,
+    radius_to_angle,
 )
 
 _STARS, _LOWEST = 80, math.sin(math.radians(12.0))
@@ -97,9 +97,9 @@ def patterns(bright: Bright, *, radius_px: tuple[float, float], max_tilt: float,
     """
     if min(bright.stars.shape[0], bright.away.shape[0]) < 3:
         return []
-    turned = _turned(bright.stars, _tilts(max_tilt))
+    turned = _turn_stars(bright.stars, _tilts(max_tilt))
     lenses = [(focal, shape) for shape in _SHAPES for focal in focal_lengths(radius_px, shape, step=_FOCAL_STEP)]
-    found = [one for focal, shape in lenses for one in _of_lens(bright.away, turned, focal, shape)]
+    found = [one for focal, shape in lenses for one in _search_lens(bright.away, turned, focal, shape)]
     found.sort(key=lambda one: -one.score)
     kept: list[Pattern] = []
     for one in found:
@@ -123,27 +123,27 @@ def _tilts(greatest: float) -> FloatArray:
     return np.asarray(rotation_matrix(np.concatenate(rings)))
 
 
-def _turned(stars: FloatArray, tilts: FloatArray) -> _Turned:
+def _turn_stars(stars: FloatArray, tilts: FloatArray) -> _Turned:
     x, y, z = np.moveaxis(stars @ np.swapaxes(tilts, -1, -2), -1, 0).reshape(3, -1)
     off_axis = np.arctan2(np.hypot(x, y), z)
     order = np.argsort(off_axis, kind="stable")
     order = order[off_axis[order] > _NEAR_AXIS]
-    key = order // stars.shape[0] * 2 * _BINS + _BINS - _bin_of(np.arctan2(y[order], x[order]))
+    key = order // stars.shape[0] * 2 * _BINS + _BINS - _bin_index(np.arctan2(y[order], x[order]))
     return _Turned(tilts, off_axis[order], key)
 
 
-def _bin_of(angle: FloatArray) -> IntArray:
+def _bin_index(angle: FloatArray) -> IntArray:
     return np.floor(angle * (_BINS / (2.0 * math.pi))).astype(np.int64) % _BINS
 
 
-def _of_lens(away: FloatArray, turned: _Turned, focal: float, shape: float) -> Iterator[Pattern]:
+def _search_lens(away: FloatArray, turned: _Turned, focal: float, shape: float) -> Iterator[Pattern]:
     """Yield the best hypotheses of one lens, of either handedness."""
-    angle = angle_of_radius(np.hypot(*away.T) / focal, shape)
+    angle = radius_to_angle(np.hypot(*away.T) / focal, shape)
     used = np.flatnonzero(angle < MAX_ANGLE)[:_DETECTIONS]
     first, last = (np.searchsorted(turned.off_axis, angle[used] + side).tolist() for side in (-_REACH, _REACH))
     pairs = [turned.key[begin:end] for begin, end in zip(first, last, strict=True)]
     for mirrored, x in ((False, away[used, 0]), (True, -away[used, 0])):
-        place = _bin_of(np.arctan2(away[used, 1], x)).tolist()
+        place = _bin_index(np.arctan2(away[used, 1], x)).tolist()
         keys = np.concatenate([key + one for key, one in zip(pairs, place, strict=True)]) if pairs else np.zeros(0, int)
         votes = np.bincount(keys, minlength=turned.tilts.shape[0] * 2 * _BINS).reshape(-1, 2, _BINS).sum(axis=1)
         window = sum((np.roll(votes, side, axis=-1) for side in (-1, 1)), votes).astype(np.float64)
@@ -156,7 +156,7 @@ def _of_lens(away: FloatArray, turned: _Turned, focal: float, shape: float) -> I
             yield Pattern(float(score[tilt, middle]), mirrored, focal, shape, about @ turned.tilts[tilt])
 
 
-def camera_of(pattern: Pattern, centre: tuple[float, float], image_size: tuple[int, int]) -> Camera:
+def pattern_camera(pattern: Pattern, centre: tuple[float, float], image_size: tuple[int, int]) -> Camera:
     """Return a hypothesis as a camera whose axis is at a place of the image as a camera that is not mirrored has it."""
     projection = nearest_projection(pattern.shape)
     return Camera(

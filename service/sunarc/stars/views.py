@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from sunarc.calibration.answers.covariance import project_with_covariance, sigma_px, without_clock
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.selection import image_parts, surest_of_parts
+from sunarc.calibration.selection import image_parts, pick_surest_in_parts
 from sunarc.common.array_types import BoolArray, FloatArray, NameArray
 from sunarc.detection.stars.detect import rank_in_part
 from sunarc.detection.stars.matching import LIMITS, StarMatches, match_stars, on_cloud, sky_motion, standing_still
@@ -94,7 +94,7 @@ class StarView:
     @property
     def predicted_directions(self) -> FloatArray:
         """Apparent directions of the predicted stars, (n, 3)."""
-        return np.asarray(self.sky.directions[self.sky.rows_of(self.predicted.names.tolist())])
+        return np.asarray(self.sky.directions[self.sky.find_rows(self.predicted.names.tolist())])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -111,12 +111,12 @@ class MatchedView:
 
     def directions(self, view: StarView) -> FloatArray:
         """Return the apparent directions of the matches, (m, 3)."""
-        return np.asarray(view.sky.directions[view.sky.rows_of(self.names(view))])
+        return np.asarray(view.sky.directions[view.sky.find_rows(self.names(view))])
 
 
 def match_views(views: Sequence[StarView]) -> list[MatchedView]:
     """Return the matches of each image, without the detections that stand still between it and another of the night."""
-    return [_matched(view, views) for view in views]
+    return [_match_view(view, views) for view in views]
 
 
 def matching_flip(views: Sequence[StarView], image_size: tuple[int, int]) -> tuple[str, list[int]]:
@@ -137,7 +137,7 @@ def matching_flip(views: Sequence[StarView], image_size: tuple[int, int]) -> tup
     return best, counts[best]
 
 
-def _matched(view: StarView, every: Sequence[StarView]) -> MatchedView:
+def _match_view(view: StarView, every: Sequence[StarView]) -> MatchedView:
     # text beside the image circle does not look at the sky
     stars = view.stars.select(unproject(view.camera, view.stars.pixels)[:, 2] > 0.0)
     other = _furthest(view, every)
@@ -203,5 +203,5 @@ def surest_named(view: StarView, found: MatchedView, image_size: tuple[int, int]
     names, stars = np.array(found.names(view), dtype=np.str_), found.stars.select(found.matches.detection)
     sound = stars.sound
     names, stars = names[sound], stars.select(sound)
-    rows = surest_of_parts(image_parts(stars.pixels, image_size), stars.sigma_px, _MOST_A_FRAME)
+    rows = pick_surest_in_parts(image_parts(stars.pixels, image_size), stars.sigma_px, _MOST_A_FRAME)
     return names[rows], stars.select(rows)

@@ -13,7 +13,7 @@ from tests.fixtures.calibration import observed, small_camera, small_problem, sp
 
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.fit.cross_validation import Doubts, HeldOut, chi_square_limit, doubts, held_out, without_parts
-from sunarc.calibration.fit.marginal_likelihood import Scales, marginal_fit, scale_grid
+from sunarc.calibration.fit.marginal_likelihood import PriorScales, marginal_fit, scale_grid
 from sunarc.calibration.fit.normal_equations import linear_system, most_probable_with_field
 from sunarc.calibration.fit.robust_fit import FitState
 from sunarc.calibration.model.options import CalibrationOptions
@@ -25,7 +25,7 @@ from sunarc.common.robust_statistics import INFORMATION_PER_WEIGHT
 FloatArray = NDArray[np.float64]
 
 PER_DAY = 40
-SCALES = Scales(0.002, 120.0, 2.0, 0.7)
+SCALES = PriorScales(0.002, 120.0, 2.0, 0.7)
 
 
 def _fit(
@@ -121,7 +121,7 @@ def test_two_days_are_each_predicted_by_a_fit_of_the_other() -> None:
     for day in (0, 1):
         other = usable.day != day
         which = np.isin(np.arange(PER_DAY), fit.member[other])
-        without = marginal_fit(fit.system.normal_of(which), fit.grid.basis, SCALES)
+        without = marginal_fit(fit.system.sum_bins(which), fit.grid.basis, SCALES)
         rows = np.flatnonzero(usable.day == day)
         shift = fit.system.rows[fit.member[rows]] @ (without.unknowns - fit.system.at)
         squares += float(np.sum((fit.residual[rows] - shift) ** 2))
@@ -160,7 +160,7 @@ def test_more_than_five_days_are_left_out_in_five_parts() -> None:
 
 def test_the_field_of_the_other_days_is_part_of_the_prediction() -> None:
     fit, usable = _fit(4, with_field=True)
-    larger = Scales(0.5, 120.0, 2.0, 0.7)
+    larger = PriorScales(0.5, 120.0, 2.0, 0.7)
     bent = 0.6 * np.stack([np.sin(usable.pixels[:, 0] / 90.0), np.cos(usable.pixels[:, 1] / 90.0)], axis=-1)
     moved = replace(fit.system, residual=fit.system.residual + bent)
     fit = _with(replace(fit, scales=larger), system=moved, residual=fit.residual + bent)

@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 from tests.fixtures.calibration import observed, small_camera, small_problem, sun_arc
 
 from sunarc.calibration.answers.covariance import hemisphere
-from sunarc.calibration.fit.marginal_likelihood import Scales, marginal_fit, scale_grid
+from sunarc.calibration.fit.marginal_likelihood import PriorScales, marginal_fit, scale_grid
 from sunarc.calibration.fit.normal_equations import LinearSystem, linear_system
-from sunarc.calibration.fit.posterior import of_products
+from sunarc.calibration.fit.posterior import decentering_covariance
 from sunarc.calibration.solve.priors import DECENTERING, HIGHER
 from sunarc.calibration.solve.problem import Bins, FitProblem
 
 FloatArray = NDArray[np.float64]
-SCALES = Scales(0.01, 120.0, 2.0, 0.7)
+SCALES = PriorScales(0.01, 120.0, 2.0, 0.7)
 WHOLE = scale_grid(width=640, height=480, floor_px=0.01, radial_px=2.0, decentering_px=0.7)
 GRID = replace(WHOLE, lens_scales=np.array([SCALES[2:]]), log_prior=np.zeros_like(WHOLE.log_prior[..., :1]))
 
@@ -48,7 +48,7 @@ def _system(
 
 
 def test_products_only_add_to_the_covariance(system: LinearSystem, problem: FitProblem) -> None:
-    found = of_products(problem, system, SCALES, GRID)
+    found = decentering_covariance(problem, system, SCALES, GRID)
     np.testing.assert_allclose(found, found.T, atol=1e-15)
     scale = np.sqrt(np.diag(marginal_fit(system.normal(), system.basis, SCALES).covariance))
     values = np.linalg.eigvalsh(found / np.outer(scale, scale))
@@ -61,8 +61,8 @@ def test_p3_and_p4_that_are_known_add_nothing(problem: FitProblem, system: Linea
     basis[:, HIGHER] *= 1e-6
     known = replace(problem, prior=replace(problem.prior, basis=basis))
     moved = system.moved(known, system.at)
-    size = np.max(np.abs(of_products(problem, system, SCALES, GRID)))
-    assert np.max(np.abs(of_products(known, moved, SCALES, GRID))) < 1e-7 * size
+    size = np.max(np.abs(decentering_covariance(problem, system, SCALES, GRID)))
+    assert np.max(np.abs(decentering_covariance(known, moved, SCALES, GRID))) < 1e-7 * size
 
 
 def test_with_it_the_stated_error_is_that_of_draws(problem: FitProblem) -> None:
@@ -94,6 +94,6 @@ def test_with_it_the_stated_error_is_that_of_draws(problem: FitProblem) -> None:
     expected = weight @ np.sum(np.square(shifts), axis=1) / weight.sum() + np.sum((by_others @ covariance) * by_others)
     alone = marginal_fit(system.normal(), system.basis, SCALES).covariance
     by_all = every.reshape(-1, system.at.size)
-    square = [np.sum((by_all @ one) * by_all) for one in (alone, of_products(problem, system, SCALES, GRID))]
+    square = [np.sum((by_all @ one) * by_all) for one in (alone, decentering_covariance(problem, system, SCALES, GRID))]
     assert square[0] < 0.9 * expected
     assert sum(square) == pytest.approx(expected, rel=0.1)

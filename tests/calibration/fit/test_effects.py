@@ -22,12 +22,12 @@ from sunarc.calibration.fit.effects import (
     POSE_DIFFERENCE_DEG,
     SEASONS,
     SWAY_DEG,
-    seasons_of,
-    with_effects,
+    add_effects,
+    season_columns,
 )
 from sunarc.calibration.model.options import USUAL_OPTIONS
 from sunarc.calibration.model.result import Calibration, probability, proves
-from sunarc.calibration.model.sightings import Kind, Sightings, kinds_of
+from sunarc.calibration.model.sightings import Kind, Sightings, body_kinds
 from sunarc.calibration.solve.priors import WIDE_ASPECT
 from sunarc.common.array_types import stacked
 from sunarc.optics.camera import Camera
@@ -48,14 +48,14 @@ def displaced(block: str, kind: NDArray[np.int64] = KIND) -> FloatArray:
     """Return the displacements (n, 2, s) of sightings of some kinds by one block."""
     seen = replace(observed(CAMERA, spread_directions(COUNT)), kind=kind, night=kind != Kind.SUN)
     problem = small_problem(CAMERA)
-    found, shared = with_effects(problem, problem.unknowns([CAMERA]), seen)
+    found, shared = add_effects(problem, problem.unknowns([CAMERA]), seen)
     columns = {one.name: one.columns for one in found.blocks}
     return shared.systematic_px[..., columns.get(block, slice(0, 0))]
 
 
 def test_bodies_have_kinds() -> None:
     names = np.array(["sun", "moon", "venus", "saturn", "star:HIP32349", "stated"])
-    assert kinds_of(names).tolist() == [Kind.SUN, Kind.MOON, Kind.STAR, Kind.STAR, Kind.STAR, Kind.SUN]
+    assert body_kinds(names).tolist() == [Kind.SUN, Kind.MOON, Kind.STAR, Kind.STAR, Kind.STAR, Kind.SUN]
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
@@ -108,7 +108,7 @@ def of_days(clock_error_s: float) -> tuple[Sightings, dict[str, FloatArray]]:
         motion=np.cross(towards, EARTH_RATE * pole_enu(SITE)),
     )
     problem = small_problem(CAMERA)
-    found, shared = with_effects(problem, problem.unknowns([CAMERA]), seen)
+    found, shared = add_effects(problem, problem.unknowns([CAMERA]), seen)
     return seen, {one.name: shared.systematic_px[..., one.columns] for one in found.blocks}
 
 
@@ -181,9 +181,9 @@ def test_a_season_is_a_focal_length_that_was_another_before_the_last_sighting() 
     times = np.concatenate([SECONDS + 0.1 * part * YEAR for part in range(6)])
     seen = replace(observed(CAMERA, towards), unix_s=times, day=np.repeat(36 * np.arange(6), COUNT))
     problem = small_problem(CAMERA)
-    found, shared = with_effects(problem, problem.unknowns([CAMERA]), seen)
+    found, shared = add_effects(problem, problem.unknowns([CAMERA]), seen)
     columns = {one.name: shared.systematic_px[..., one.columns] for one in found.blocks}
-    changes = seasons_of(times)
+    changes = season_columns(times)
     np.testing.assert_allclose(changes[-1], 0.0, atol=1e-15)
     assert np.max(np.abs(changes[0])) == pytest.approx(2.0, rel=0.01)  # from summer to winter
     longer = grown(CAMERA, 0.001)
@@ -195,9 +195,9 @@ def test_a_season_is_a_focal_length_that_was_another_before_the_last_sighting() 
 
 
 def test_a_week_has_no_season() -> None:
-    assert not np.any(seasons_of(np.linspace(0.0, 7.0 * DAY, 50)))
-    assert not np.any(seasons_of(np.array([np.nan, np.nan])))
-    assert seasons_of(np.zeros(0)).shape[0] == 0
+    assert not np.any(season_columns(np.linspace(0.0, 7.0 * DAY, 50)))
+    assert not np.any(season_columns(np.array([np.nan, np.nan])))
+    assert season_columns(np.zeros(0)).shape[0] == 0
 
 
 def of_swaying_days(turns_deg: FloatArray) -> dict[str, FloatArray]:
@@ -208,7 +208,7 @@ def of_swaying_days(turns_deg: FloatArray) -> dict[str, FloatArray]:
     scatter = np.random.default_rng(5).normal(0.0, 0.02, seen.pixels.shape)
     seen = replace(seen, pixels=project(CAMERA, towards - turned_by) + scatter)
     problem = small_problem(CAMERA)
-    found, shared = with_effects(problem, problem.unknowns([CAMERA]), seen)
+    found, shared = add_effects(problem, problem.unknowns([CAMERA]), seen)
     return {one.name: shared.systematic_px[..., one.columns] for one in found.blocks}
 
 
@@ -248,7 +248,7 @@ def test_suns_on_a_grid_are_all_displaced_by_half_a_step_each_way(step_px: float
     pixels = np.where(sun[:, None], np.floor(seen.pixels / step_px) * step_px if step_px else seen.pixels, seen.pixels)
     seen = replace(seen, pixels=pixels, kind=np.where(sun, Kind.SUN, Kind.STAR))
     problem = small_problem(CAMERA)
-    found, shared = with_effects(problem, problem.unknowns([CAMERA]), seen)
+    found, shared = add_effects(problem, problem.unknowns([CAMERA]), seen)
     columns = {one.name: one.columns for one in found.blocks}
     on_grid = shared.systematic_px[..., columns.get("grid", slice(0, 0))]
     if expected_px == 0.0:

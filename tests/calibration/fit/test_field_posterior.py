@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from tests.fixtures.calibration import observed, small_camera, small_problem, spread_directions, sun_arc
 
-from sunarc.calibration.fit.marginal_likelihood import Scales, field_at, marginal_fit
+from sunarc.calibration.fit.marginal_likelihood import PriorScales, field_at, marginal_fit
 from sunarc.calibration.fit.normal_equations import LinearSystem, linear_system
 from sunarc.calibration.fit.posterior import prediction_variance, seen_field
 from sunarc.calibration.model.residual_field import Field
@@ -16,7 +16,7 @@ from sunarc.optics.displacement import wave_basis
 
 FloatArray = NDArray[np.float64]
 
-SCALES = Scales(0.3, 120.0, 2.0, 0.7)
+SCALES = PriorScales(0.3, 120.0, 2.0, 0.7)
 COUNT = 60
 
 

@@ -14,10 +14,10 @@ from tests.fixtures.calibration import log_evidences
 from sunarc.calibration.fit.marginal_likelihood import (
     HyperparameterGrid,
     NormalEquations,
-    Scales,
+    PriorScales,
+    field_log_odds,
     likely_scales,
     log_evidence,
-    log_odds_of_a_field,
     log_weights,
     normal_sums,
     normalised,
@@ -43,7 +43,7 @@ def _normal(grid: HyperparameterGrid, *, amplitude_px: float = 0.0, seed: int = 
     return normal_sums(np.zeros((120, 2, 17)), waves, residual, np.full(120, 400.0), at=np.zeros(17))
 
 
-def _likely(normal: NormalEquations, grid: HyperparameterGrid) -> Scales:
+def _likely(normal: NormalEquations, grid: HyperparameterGrid) -> PriorScales:
     return likely_scales(normalised(log_weights(normal, grid)), grid)
 
 
@@ -144,12 +144,12 @@ def test_evidence_without_a_large_field_is_lower_where_there_is_one(grid: Hyperp
 
 @pytest.mark.parametrize(("truth", "low", "high"), [(0.0, -20.0, 0.0), (0.4, 20.0, 1e6)])
 def test_a_field_is_proven_where_there_is_one(grid: HyperparameterGrid, truth: float, low: float, high: float) -> None:
-    found = [log_odds_of_a_field(log_weights(_normal(grid, amplitude_px=truth, seed=s), grid)) for s in range(4)]
+    found = [field_log_odds(log_weights(_normal(grid, amplitude_px=truth, seed=s), grid)) for s in range(4)]
     assert low < min(found) <= max(found) < high
 
 
 def test_the_odds_are_those_of_the_weights(grid: HyperparameterGrid) -> None:
     log_weight = log_weights(_normal(grid, amplitude_px=0.02), grid)
     weight = normalised(log_weight)
-    assert log_odds_of_a_field(log_weight) == pytest.approx(math.log(weight[1:].sum() / weight[0].sum()))
-    assert log_odds_of_a_field(log_weight[:1]) == -math.inf
+    assert field_log_odds(log_weight) == pytest.approx(math.log(weight[1:].sum() / weight[0].sum()))
+    assert field_log_odds(log_weight[:1]) == -math.inf

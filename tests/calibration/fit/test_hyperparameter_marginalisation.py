@@ -15,7 +15,7 @@ from sunarc.calibration.fit import posterior as module
 from sunarc.calibration.fit.marginal_likelihood import (
     HyperparameterGrid,
     NormalEquations,
-    Scales,
+    PriorScales,
     field_sums,
     log_weights,
     marginal_fit,
@@ -24,14 +24,14 @@ from sunarc.calibration.fit.marginal_likelihood import (
 )
 from sunarc.calibration.fit.normal_equations import LinearSystem, linear_system
 from sunarc.calibration.fit.posterior import PosteriorCovariance, stated_posterior
-from sunarc.calibration.solve.priors import STRETCH, with_wide_pixels
+from sunarc.calibration.solve.priors import STRETCH, free_pixel_aspect
 from sunarc.calibration.solve.problem import Bins, FitProblem
 from sunarc.optics.camera import Camera
 from sunarc.optics.displacement import WaveBasis
 from sunarc.optics.forward import project
 
 FloatArray = NDArray[np.float64]
-SCALES = Scales(0.01, 120.0, 2.0, 0.7)
+SCALES = PriorScales(0.01, 120.0, 2.0, 0.7)
 
 
 def _sky_rows(problem: FitProblem, at: FloatArray, basis: WaveBasis) -> tuple[FloatArray, FloatArray]:
@@ -90,7 +90,7 @@ def _mixture(normal: NormalEquations, grid: HyperparameterGrid, at: FloatArray) 
     weight = normalised(log_weights(normal, grid))
     total = np.zeros((at.size, at.size))
     for (i, j, k), share in np.ndenumerate(weight):
-        scales = Scales(float(grid.amplitudes[i]), float(grid.lengths[j]), *map(float, grid.lens_scales[k]))
+        scales = PriorScales(float(grid.amplitudes[i]), float(grid.lengths[j]), *map(float, grid.lens_scales[k]))
         fit = marginal_fit(normal, grid.basis, scales)
         shift = fit.unknowns - at
         total += share * (fit.covariance + np.outer(shift, shift))
@@ -102,7 +102,7 @@ def test_with_one_amplitude_it_is_the_mixture_s_covariance(
 ) -> None:
     one = _one_amplitude(grid)
     found = _posterior(system, one, problem)
-    expected = _mixture(system.normal(), one, at) + module.of_products(problem, system, SCALES, grid)
+    expected = _mixture(system.normal(), one, at) + module.decentering_covariance(problem, system, SCALES, grid)
     factor = _factor(found, one)
     assert factor == pytest.approx(1.0, abs=0.1)
     # 1.5 % of the probability is left out
@@ -122,10 +122,10 @@ def test_with_one_choice_it_is_that_fit_s_own(
         lens_scales=grid.lens_scales[1:2],
         log_prior=grid.log_prior[5:6, 1:2, 1:2],
     )
-    scales = Scales(float(grid.amplitudes[5]), float(grid.lengths[1]), *map(float, grid.lens_scales[1]))
+    scales = PriorScales(float(grid.amplitudes[5]), float(grid.lengths[1]), *map(float, grid.lens_scales[1]))
     fit = marginal_fit(system.normal(), grid.basis, scales)
     found = _posterior(system, single, problem, fit.unknowns)
-    beside = module.of_products(problem, system, SCALES, single)
+    beside = module.decentering_covariance(problem, system, SCALES, single)
     factor = _factor(found, single)
     assert factor == pytest.approx(1.0, abs=1e-6)
     np.testing.assert_allclose(found.covariance / factor**2, fit.covariance + beside, rtol=1e-6, atol=1e-12)
@@ -141,11 +141,11 @@ def test_pixels_that_may_not_be_square_have_their_share(
     one = _one_amplitude(grid)
     found = stated_posterior(problem, system, at, grid=one, scales=SCALES, mean=None, stretched=share)
     # the same sightings by a problem that has the wide prior, whose unknowns are larger units
-    wide, units = with_wide_pixels(problem.prior), np.ones(at.size)
+    wide, units = free_pixel_aspect(problem.prior), np.ones(at.size)
     units[STRETCH] = wide.basis[STRETCH, STRETCH] / problem.prior.basis[STRETCH, STRETCH]
     of_wide = _mixture(replace(system, rows=system.rows * units, at=at / units).normal(), one, at / units)
     expected = (1.0 - share) * _mixture(system.normal(), one, at) + share * of_wide * np.outer(units, units)
-    expected += module.of_products(problem, system, SCALES, grid)
+    expected += module.decentering_covariance(problem, system, SCALES, grid)
     scale = np.sqrt(np.diag(expected))
     scaled = found.covariance / np.outer(scale, scale) / _factor(found, one) ** 2
     np.testing.assert_allclose(scaled, expected / np.outer(scale, scale), atol=0.08)
@@ -175,7 +175,7 @@ def test_the_stated_95_percent_hold_95_percent_of_the_mixture(
     system: LinearSystem, grid: HyperparameterGrid, problem: FitProblem, posterior: PosteriorCovariance
 ) -> None:
     """Against draws from every choice, at places over the sky; and 50, 68 and 99 % by the mixture's own factors."""
-    sums, products = field_sums(system.normal(), grid), module.of_products(problem, system, SCALES, grid)
+    sums, products = field_sums(system.normal(), grid), module.decentering_covariance(problem, system, SCALES, grid)
     choices = module.plausible(sums, grid, system.at, None, products)
     rows, values = _sky_rows(problem, system.at, grid.basis)
     moments = module.at_probes(choices, rows, values)

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 from tests.fixtures.calibration import observed, small_camera, small_problem, spread_directions
 
-from sunarc.calibration.fit.marginal_likelihood import Scales, marginal_fit, scale_grid
+from sunarc.calibration.fit.marginal_likelihood import PriorScales, marginal_fit, scale_grid
 from sunarc.calibration.fit.normal_equations import linear_system
-from sunarc.calibration.fit.robust_fit import leverage_of
+from sunarc.calibration.fit.robust_fit import compute_leverage
 from sunarc.calibration.solve.problem import Bins, Block
 
 COUNT, NIGHT = 60, 40
-SCALES = Scales(amplitude_px=0.3, length_px=120.0, radial_px=2.0, decentering_px=0.7)
+SCALES = PriorScales(amplitude_px=0.3, length_px=120.0, radial_px=2.0, decentering_px=0.7)
 SIGMA_PX = 0.05
 
 
@@ -28,7 +28,7 @@ def test_leverage_is_that_of_the_hat_matrix_and_zero_by_day() -> None:
     information = np.full(COUNT, SIGMA_PX**-2)
     system = linear_system(problem, seen, bins, at, information=information, basis=grid.basis)
     normal = system.normal()
-    found = leverage_of(
+    found = compute_leverage(
         system, normal, marginal_fit(normal, grid.basis, SCALES), SCALES, which=np.arange(COUNT) < NIGHT
     )
     np.testing.assert_array_equal(found[NIGHT:], 0.0)

@@ -17,7 +17,7 @@ from sunarc.calibration.fit.marginal_likelihood import (
     BasisProducts,
     FieldSums,
     NormalEquations,
-    Scales,
+    PriorScales,
     inverses,
     marginal_fit,
     normal_sums,
@@ -27,7 +27,7 @@ from sunarc.optics.displacement import WaveBasis, wave_basis
 
 FloatArray = NDArray[np.float64]
 
-SCALES = Scales(0.4, 300.0, 2.0, 0.7)
+SCALES = PriorScales(0.4, 300.0, 2.0, 0.7)
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +50,7 @@ class _Case:
         return normal_sums(self.rows, self.basis_values, self.residual, self.information, at=self.at)
 
 
-def _kernel(a: FloatArray, b: FloatArray, scales: Scales) -> FloatArray:
+def _kernel(a: FloatArray, b: FloatArray, scales: PriorScales) -> FloatArray:
     square = np.sum((a[:, None] - b[None]) ** 2, axis=-1)
     return np.asarray(scales.amplitude_px**2 * np.exp(-0.5 * square / scales.length_px**2))
 
@@ -58,7 +58,7 @@ def _kernel(a: FloatArray, b: FloatArray, scales: Scales) -> FloatArray:
 def test_waves_make_the_squared_exponential_kernel(basis: WaveBasis) -> None:
     pixels = np.random.default_rng(1).uniform([0.0, 0.0], [1000.0, 800.0], (60, 2))
     for length in (250.0, 320.0, 400.0):
-        scales = Scales(1.0, length, 1.0, 1.0)
+        scales = PriorScales(1.0, length, 1.0, 1.0)
         waves = basis.values(pixels)
         made = (waves * basis.variances(length_px=length)) @ waves.T
         np.testing.assert_allclose(made, _kernel(pixels, pixels, scales), atol=0.06)
@@ -69,11 +69,11 @@ def test_evidence_differs_between_scales_as_the_dense_gaussian_does(basis: WaveB
     amplitudes, lengths = np.array([0.01, 0.4]), np.array([300.0])
     lens = np.array([[2.0, 0.7], [4.0, 1.4]])
     found = log_evidences(case.normal(), basis, amplitudes=amplitudes, lengths=lengths, lens_scales=lens)
-    dense = np.array([[_dense(case, basis, Scales(a, 300.0, r, d)) for r, d in lens] for a in amplitudes])
+    dense = np.array([[_dense(case, basis, PriorScales(a, 300.0, r, d)) for r, d in lens] for a in amplitudes])
     np.testing.assert_allclose(found[:, 0] - found[0, 0, 0], dense - dense[0, 0], atol=1e-6)
 
 
-def _dense(case: _Case, basis: WaveBasis, scales: Scales) -> float:
+def _dense(case: _Case, basis: WaveBasis, scales: PriorScales) -> float:
     """Return the log density of the residuals under prior, field and noise together."""
     variance = 1.0 / prior_precision(case.at.size, scales.radial_px, scales.decentering_px)
     flat = case.rows.reshape(-1, case.at.size)
@@ -131,7 +131,7 @@ def test_prior_precisions_are_those_of_lens_pose_and_air() -> None:
     assert found.size == 25
 
 
-def _log_posterior(case: _Case, basis: WaveBasis, scales: Scales, change: FloatArray, waves: FloatArray) -> float:
+def _log_posterior(case: _Case, basis: WaveBasis, scales: PriorScales, change: FloatArray, waves: FloatArray) -> float:
     """Return -2 log of what the linear model says of a change of the unknowns and field coefficients (2, m)."""
     misfit = case.residual - case.rows @ change - (case.basis_values @ waves.T)
     prior = prior_precision(case.at.size, scales.radial_px, scales.decentering_px)
@@ -173,8 +173,8 @@ def test_each_choice_of_a_grid_is_the_fit_under_its_scales(basis: WaveBasis) -> 
     equations = FieldSums.of(normal, basis, amplitudes, lengths).equations(np.arange(6), lens)
     for (j, i, k), _ in np.ndenumerate(np.empty((2, 3, 2))):
         step, reduced = equations.fits(np.array([3 * j + i]), np.array([k]))
-        known, at_rest, back = (one[3 * j + i] for one in equations.of_others())
-        fit = marginal_fit(normal, basis, Scales(float(amplitudes[i]), float(lengths[j]), *map(float, lens[k])))
+        known, at_rest, back = (one[3 * j + i] for one in equations.part_from_others())
+        fit = marginal_fit(normal, basis, PriorScales(float(amplitudes[i]), float(lengths[j]), *map(float, lens[k])))
         np.testing.assert_allclose(known + back @ reduced[0] @ back.T, fit.covariance, rtol=1e-9, atol=1e-12)
         np.testing.assert_allclose(normal.at + at_rest + back @ step[0], fit.unknowns, rtol=1e-9, atol=1e-12)
 
@@ -244,7 +244,7 @@ class _TwoUnknowns:
     def normal(self) -> NormalEquations:
         return normal_sums(self.rows, self.basis_values, self.residual, self.information, at=np.zeros(17))
 
-    def evidence(self, scales: Scales) -> float:
+    def evidence(self, scales: PriorScales) -> float:
         """Return the density of the residuals, integrated over the two unknowns on a grid."""
         field = (
             self.basis_values * scales.amplitude_px**2 * self.basis.variances(length_px=scales.length_px)
@@ -263,8 +263,8 @@ class _TwoUnknowns:
         return float(np.trapezoid(np.trapezoid(values, axes[1], axis=1), axes[0]))
 
 
-@pytest.mark.parametrize("other", [Scales(0.01, 300.0, 2.0, 0.7), Scales(3.0, 250.0, 0.4, 0.7)])
-def test_evidence_is_the_integral_over_the_unknowns(basis: WaveBasis, other: Scales) -> None:
+@pytest.mark.parametrize("other", [PriorScales(0.01, 300.0, 2.0, 0.7), PriorScales(3.0, 250.0, 0.4, 0.7)])
+def test_evidence_is_the_integral_over_the_unknowns(basis: WaveBasis, other: PriorScales) -> None:
     case = _TwoUnknowns(basis)
     found = [
         log_evidences(

@@ -9,14 +9,14 @@ import pytest
 from numpy.typing import NDArray
 from tests.fixtures.calibration import observed, small_camera, small_problem, sun_arc
 
-from sunarc.calibration.fit.marginal_likelihood import MarginalFit, NormalEquations, Scales
+from sunarc.calibration.fit.marginal_likelihood import MarginalFit, NormalEquations, PriorScales
 from sunarc.calibration.fit.normal_equations import linear_system
-from sunarc.calibration.fit.robust_fit import log_bayes_factor, log_odds_of_parts
+from sunarc.calibration.fit.robust_fit import log_bayes_factor, part_log_odds
 from sunarc.calibration.solve.problem import Bins
 from sunarc.optics.displacement import WaveBasis, wave_basis
 
 FloatArray = NDArray[np.float64]
-SCALES = Scales(1e-4, 120.0, 2.0, 0.7)
+SCALES = PriorScales(1e-4, 120.0, 2.0, 0.7)
 BASIS = wave_basis(width=640, height=480, shortest_px=120.0, longest_px=160.0)
 
 
@@ -62,7 +62,7 @@ def _equations(decentering: tuple[float, float], *, k3: float = 0.0, sigma_px: f
 
 
 def _odds(normal: NormalEquations, basis: WaveBasis = BASIS) -> dict[str, float]:
-    return log_odds_of_parts(normal, basis, SCALES)
+    return part_log_odds(normal, basis, SCALES)
 
 
 def test_a_decentered_lens_has_odds_for_its_decentering_and_another_one_against() -> None:

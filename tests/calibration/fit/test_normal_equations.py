@@ -17,8 +17,8 @@ from tests.fixtures.calibration import (
     sun_arc,
 )
 
-from sunarc.calibration.fit.effects import with_effects
-from sunarc.calibration.fit.marginal_likelihood import Scales, marginal_fit
+from sunarc.calibration.fit.effects import add_effects
+from sunarc.calibration.fit.marginal_likelihood import PriorScales, marginal_fit
 from sunarc.calibration.fit.normal_equations import (
     LinearSystem,
     linear_system,
@@ -32,7 +32,7 @@ from sunarc.optics.displacement import WaveBasis, wave_basis
 
 FloatArray = NDArray[np.float64]
 
-SCALES = Scales(0.2, 120.0, 2.0, 0.7)
+SCALES = PriorScales(0.2, 120.0, 2.0, 0.7)
 BINS = Bins(member=np.arange(60) // 4, count=15)
 
 
@@ -101,7 +101,7 @@ def test_the_system_about_other_unknowns_has_their_residuals(
 
 def test_the_sums_of_all_bins_are_those_of_parts_together(system: LinearSystem) -> None:
     which = np.arange(15) % 3 == 0
-    whole, one, other = system.normal(), system.normal_of(which), system.normal_of(~which)
+    whole, one, other = system.normal(), system.sum_bins(which), system.sum_bins(~which)
     np.testing.assert_allclose(one.ff.matrix + other.ff.matrix, whole.ff.matrix, rtol=1e-9)
     for name in ("jj", "jf", "jr", "fr", "rr"):
         np.testing.assert_allclose(
@@ -171,7 +171,7 @@ def test_a_start_far_off_is_brought_back(system: LinearSystem, problem: FitProbl
 
 def test_unknown_air_is_among_the_equations(problem: FitProblem, seen: Sightings, basis: WaveBasis) -> None:
     at = problem.unknowns([small_camera()])
-    with_air, observed = with_effects(problem, at, replace(seen, refraction_sd=np.full((60, 1), 1e-3)))
+    with_air, observed = add_effects(problem, at, replace(seen, refraction_sd=np.full((60, 1), 1e-3)))
     with_air, _ = with_air.only({"air"})
     unknowns = with_air.unknowns([small_camera()])
     system = linear_system(with_air, observed, BINS, unknowns, information=np.ones(60), basis=basis)
@@ -185,7 +185,7 @@ def test_unknown_air_is_among_the_equations(problem: FitProblem, seen: Sightings
 def test_coverage_of_the_stated_95_percent_of_a_small_fit(problem: FitProblem, basis: WaveBasis) -> None:
     """Lenses drawn from the prior, 40 noisy arcs: the pose's stated error is neither too small nor too large."""
     camera, directions = small_camera(), sun_arc(60)
-    scales = Scales(1e-4, 120.0, 2.0, 0.7)
+    scales = PriorScales(1e-4, 120.0, 2.0, 0.7)
     narrow = problem.prior.basis / np.sqrt(precisions(2.0, 0.7))
     rng = np.random.default_rng(2)
     inside = []
@@ -193,7 +193,7 @@ def test_coverage_of_the_stated_95_percent_of_a_small_fit(problem: FitProblem, b
         z = np.where(np.arange(17) < 13, 0.1, 0.0) * rng.standard_normal(17)
         vector = camera.to_vector()
         vector[LENS] += narrow @ z
-        drawn = camera.with_parameters(vector)
+        drawn = camera.replace_parameters(vector)
         prior = replace(problem.prior, mean=camera.to_vector()[LENS], basis=0.1 * narrow)
         here = replace(problem, prior=prior)
         begin = here.unknowns([camera])

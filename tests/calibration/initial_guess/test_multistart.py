@@ -14,12 +14,12 @@ from sunarc.calibration.solve.priors import DECENTERING, HIGHER, LENS, RADIAL, W
 from sunarc.calibration.solve.problem import FitProblem
 from sunarc.calibration.start import multistart
 from sunarc.calibration.start.multistart import (
-    best_of_starts,
     best_start,
     distance_sigmas,
     least_squares,
     loosened,
     lowest,
+    solve_from_starts,
     undistorted,
 )
 from sunarc.common.robust_statistics import UNSEEN_PX, robust_sigma, tukey_loss
@@ -169,7 +169,7 @@ def test_the_sign_of_the_decentering_is_found(problem: FitProblem, precision: Fl
     exact = replace(
         observed(problem.camera(truth), sun_arc(60, widest_deg=70.0), sigma_px=0.01), information=np.full(60, 1e4)
     )
-    found = best_of_starts(problem, exact, begin, precision=precision)
+    found = solve_from_starts(problem, exact, begin, precision=precision)
     residual = problem.residuals(found, exact)
     assert float(np.sqrt(np.mean(residual**2))) < 0.03
     assert seen.pixels.shape == (120, 2)

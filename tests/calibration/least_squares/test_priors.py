@@ -154,7 +154,7 @@ def test_the_radius_of_a_drawn_lens_rises() -> None:
     for _ in range(20):
         vector = camera.to_vector()
         vector[LENS] = prior.lens(rng.standard_normal(17) / np.sqrt(precisions(2.0, 0.7)))
-        assert np.all(np.diff(distorted_radius(camera.with_parameters(vector), theta)) > 0.0)
+        assert np.all(np.diff(distorted_radius(camera.replace_parameters(vector), theta)) > 0.0)
 
 
 @pytest.mark.parametrize(

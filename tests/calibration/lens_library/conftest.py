@@ -10,7 +10,7 @@ import pytest
 from tests.calibration.conftest import SGP, TRUTH, FloatArray, simulate
 
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread, frame_of, type_camera
+from sunarc.calibration.lens_library.lens_type import LensType, UnitSpread, lens_frame, type_camera
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve.priors import LENS
@@ -32,7 +32,7 @@ def scales() -> FloatArray:
 @pytest.fixture(scope="session")
 def lens() -> LensType:
     """Return the type as it is."""
-    frame = frame_of(TRUTH)
+    frame = lens_frame(TRUTH)
     return LensType(
         camera=type_camera(frame, frame.whitened(TRUTH), TRUTH, max_angle=TRUTH.max_angle),
         covariance=frame.basis @ np.diag(scales() ** 2) @ frame.basis.T,
@@ -49,11 +49,11 @@ def unit() -> Units:
     """Return a unit of the type by its number, mounted in some azimuth, nearly level."""
 
     def drawn(seed: int) -> Camera:
-        rng, frame = np.random.default_rng(300 + seed), frame_of(TRUTH)
+        rng, frame = np.random.default_rng(300 + seed), lens_frame(TRUTH)
         vector = TRUTH.to_vector()
         vector[LENS] = frame.lens(frame.whitened(TRUTH) + scales() * rng.standard_normal(17))
         pose = PoseAngles(rng.uniform(-180.0, 180.0), abs(rng.normal(0.0, 2.5)), rng.uniform(0.0, 360.0))
-        return replace(TRUTH.with_parameters(vector), rotation_cam_enu=rotation_from_pose_angles(pose))
+        return replace(TRUTH.replace_parameters(vector), rotation_cam_enu=rotation_from_pose_angles(pose))
 
     return drawn
 

@@ -10,12 +10,12 @@ import pytest
 
 from sunarc.calibration.lens_library.joint import (
     Unit,
+    estimate_lens_type,
     estimated_spread,
     further_unit,
-    lens_type_of,
     log_evidences,
 )
-from sunarc.calibration.lens_library.lens_type import Information, LensType, UnitSpread, frame_of, usual_precision
+from sunarc.calibration.lens_library.lens_type import Information, LensType, UnitSpread, lens_frame, usual_precision
 from sunarc.calibration.solve.priors import N_LENS
 from sunarc.common.errors import InputError
 
@@ -96,9 +96,9 @@ def test_the_spread_between_eight_units_is_found(factor: float) -> None:
 def test_one_calibration_gives_its_lens_and_the_stated_spread(fitted: Fitted) -> None:
     calibration = fitted(0)[1]
     spread = UnitSpread()
-    found = lens_type_of([Unit("one", calibration)], spread=spread)
+    found = estimate_lens_type([Unit("one", calibration)], spread=spread)
     assert (found.cameras, found.days, found.spread) == (("one",), ("2013-05-13",), spread)
-    frame = frame_of(calibration.camera)
+    frame = lens_frame(calibration.camera)
     apart = frame.whitened(found.camera) - frame.whitened(calibration.camera)
     sigma = np.sqrt(np.diag(found.in_frame().covariance))
     assert np.abs(apart / sigma).max() < 0.8  # in what no sighting tells
@@ -108,8 +108,8 @@ def test_one_calibration_gives_its_lens_and_the_stated_spread(fitted: Fitted) ->
 
 def test_three_units_tell_more_than_one_and_their_spread(fitted: Fitted, lens: LensType) -> None:
     units = [Unit(str(k), fitted(k)[1]) for k in range(3)]
-    one, three = lens_type_of(units[:1], spread=lens.spread), lens_type_of(units, spread=lens.spread)
-    frame = frame_of(lens.camera)
+    one, three = estimate_lens_type(units[:1], spread=lens.spread), estimate_lens_type(units, spread=lens.spread)
+    frame = lens_frame(lens.camera)
     true = frame.whitened(lens.camera)
     scales = lens.spread.scales(601.0)
     error = [np.linalg.norm((frame.whitened(found.camera) - true) / scales) for found in (one, three)]
@@ -129,7 +129,7 @@ def test_cameras_of_other_types_are_refused_by_name(fitted: Fitted, change: dict
     first = fitted(0)[1]
     other = replace(first, camera=replace(first.camera, **change))  # type: ignore[arg-type]
     with pytest.raises(InputError) as refused:
-        lens_type_of([Unit("north", first), Unit("south", other)])
+        estimate_lens_type([Unit("north", first), Unit("south", other)])
     assert refused.value.field == "south"
     assert what in refused.value.problem
 
@@ -140,7 +140,7 @@ def test_a_calibration_without_the_lens_s_covariance_is_refused(fitted: Fitted) 
         calibration, parameter_names=calibration.parameter_names[:-1], covariance=calibration.covariance[:-1, :-1]
     )
     with pytest.raises(InputError) as refused:
-        lens_type_of([Unit("short", short)])
+        estimate_lens_type([Unit("short", short)])
     assert refused.value.field == "short"
     with pytest.raises(InputError):
-        lens_type_of([])
+        estimate_lens_type([])

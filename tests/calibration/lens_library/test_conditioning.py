@@ -12,14 +12,14 @@ from tests.calibration.conftest import SGP
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.lens_library import conditioning
-from sunarc.calibration.lens_library.conditioning import conditioned_lens, with_lens
+from sunarc.calibration.lens_library.conditioning import apply_lens_prior, conditioned_lens
 from sunarc.calibration.lens_library.lens_type import (
     LensType,
     UnitSpread,
-    frame_of,
-    gaussian_of,
-    information_of,
-    prior_precision_of,
+    infer_prior_precision,
+    lens_frame,
+    lens_gaussian,
+    sighting_information,
 )
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
@@ -51,7 +51,7 @@ def test_a_part_of_a_day_is_better_with_the_type_and_its_errors_as_stated(
         points = fitted(number)[0]
         half = points.select(slice(0, len(points) // 2))
         alone = calibrate(half, site=SGP, image_size=(1748, 1748), options=OPTIONS)
-        found = with_lens(alone, lens, points=half, options=OPTIONS)
+        found = apply_lens_prior(alone, lens, points=half, options=OPTIONS)
         assert found.verdict.accepted == alone.verdict.accepted
         assert found.sky_rms_deg < alone.sky_rms_deg
         rows.append([error_px(alone, unit(number))[0], *error_px(found, unit(number))])
@@ -64,10 +64,10 @@ def test_a_part_of_a_day_is_better_with_the_type_and_its_errors_as_stated(
 def test_the_lens_is_the_product_of_sightings_and_type(fitted: Fitted, lens: LensType) -> None:
     calibration = fitted(1)[1]
     frame, prior = lens.frame, lens.in_frame()
-    known = information_of(gaussian_of(calibration, frame), calibration.evidence.radial_px)
+    known = sighting_information(lens_gaussian(calibration, frame), calibration.evidence.radial_px)
     covariance = np.linalg.inv(known.matrix + np.linalg.inv(prior.covariance))
-    found = with_lens(calibration, lens, points=fitted(1)[0], options=OPTIONS)
-    assert gaussian_of(found, frame).covariance == pytest.approx(covariance, abs=1e-5)
+    found = apply_lens_prior(calibration, lens, points=fitted(1)[0], options=OPTIONS)
+    assert lens_gaussian(found, frame).covariance == pytest.approx(covariance, abs=1e-5)
     to = conditioned_lens(calibration, lens).lens
     changed = conditioning.moved_to_lens(calibration, lens, to, OPTIONS)
     assert frame.whitened(changed.camera) == pytest.approx(to.mean, abs=1e-6)
@@ -78,11 +78,11 @@ def test_the_lens_is_the_product_of_sightings_and_type(fitted: Fitted, lens: Len
 
 def test_a_type_that_says_nothing_changes_nothing(fitted: Fitted, lens: LensType) -> None:
     points, calibration = fitted(1)
-    frame = frame_of(lens.camera)
-    precision = prior_precision_of(gaussian_of(calibration, frame), calibration.evidence.radial_px) + 1e-8
+    frame = lens_frame(lens.camera)
+    precision = infer_prior_precision(lens_gaussian(calibration, frame), calibration.evidence.radial_px) + 1e-8
     vague = replace(lens, covariance=frame.basis @ np.diag(1.0 / precision) @ frame.basis.T)
     centred = replace(vague, camera=replace(lens.camera, radial=(0.0,) * 8, decentering=(0.0,) * 4, skew_px=0.0))
-    found = with_lens(calibration, centred, points=points, options=OPTIONS)
+    found = apply_lens_prior(calibration, centred, points=points, options=OPTIONS)
     moved = project(found.camera, SKY) - project(calibration.camera, SKY)
     assert np.sqrt(np.nanmean(moved**2)) < 0.06
     assert found.sky_rms_deg == pytest.approx(calibration.sky_rms_deg, rel=0.15)
@@ -90,9 +90,9 @@ def test_a_type_that_says_nothing_changes_nothing(fitted: Fitted, lens: LensType
 
 def test_information_adds_the_prior_back_to_the_posterior(fitted: Fitted, lens: LensType) -> None:
     calibration = fitted(2)[1]
-    posterior = gaussian_of(calibration, lens.frame)
-    precision = prior_precision_of(posterior, calibration.evidence.radial_px)
-    known = information_of(posterior, calibration.evidence.radial_px)
+    posterior = lens_gaussian(calibration, lens.frame)
+    precision = infer_prior_precision(posterior, calibration.evidence.radial_px)
+    known = sighting_information(posterior, calibration.evidence.radial_px)
     assert np.linalg.eigvalsh(known.matrix)[0] > -1e-6
     again = np.linalg.inv(known.matrix + np.diag(precision + 1e-9))
     assert np.sqrt(np.diag(again)) == pytest.approx(np.sqrt(np.diag(posterior.covariance)), rel=0.15)
@@ -101,13 +101,13 @@ def test_information_adds_the_prior_back_to_the_posterior(fitted: Fitted, lens: 
 def test_another_lens_is_refused_with_its_size(fitted: Fitted, lens: LensType) -> None:
     points, calibration = fitted(0)
     other = replace(lens, camera=replace(lens.camera, focal_length_px=(630.0, 630.0)))
-    found = with_lens(calibration, other, points=points, options=OPTIONS)
+    found = apply_lens_prior(calibration, other, points=points, options=OPTIONS)
     finding = found.verdict.findings[0]
     assert not found.verdict.accepted
     assert finding.code == "lens_prior_contradicted"
     assert finding.data["part"] == "focal length"
     assert float(finding.data["departure"]) > float(finding.data["limit"]) > 1.0
-    assert with_lens(calibration, lens, points=points, options=OPTIONS).verdict.accepted
+    assert apply_lens_prior(calibration, lens, points=points, options=OPTIONS).verdict.accepted
 
 
 def test_a_type_that_makes_a_good_fit_worse_is_left_out(
@@ -119,7 +119,7 @@ def test_a_type_that_makes_a_good_fit_worse_is_left_out(
     monkeypatch.setattr(conditioning, "conditioned_lens", lambda *_: shifted._replace(lens=away))
     far = replace(calibration.camera, focal_length_px=(605.0, 605.0))
     monkeypatch.setattr(conditioning, "_most_probable", lambda *_: far)
-    found = with_lens(calibration, lens, points=points, options=OPTIONS)
+    found = apply_lens_prior(calibration, lens, points=points, options=OPTIONS)
     assert found.verdict.accepted
     assert found.verdict.findings[-1].code == "lens_prior_left_out"
     assert found.camera == calibration.camera
@@ -127,7 +127,7 @@ def test_a_type_that_makes_a_good_fit_worse_is_left_out(
 
 def test_it_is_not_solved_again_without_its_type(fitted: Fitted, lens: LensType) -> None:
     points, calibration = fitted(0)
-    found = with_lens(calibration, lens, points=points, options=OPTIONS)
+    found = apply_lens_prior(calibration, lens, points=points, options=OPTIONS)
     with pytest.raises(InputError) as refused:
         reproduce_calibration(found, points)
     assert refused.value.field == "evidence.options.lens_prior"

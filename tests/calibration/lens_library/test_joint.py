@@ -12,7 +12,7 @@ from tests.calibration.conftest import SGP, simulate
 
 from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.lens_library.joint import Entry, calibrate_jointly
-from sunarc.calibration.lens_library.lens_type import IN_FREE, LensType, frame_of, usual_precision
+from sunarc.calibration.lens_library.lens_type import IN_FREE, LensType, lens_frame, usual_precision
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
@@ -45,7 +45,7 @@ class Stacked:
 
     def __init__(self, records: list[Sightings], like: Calibration, scales: FloatArray | None) -> None:
         self.records, self.like, self.scales = records, like, scales
-        self.frame = frame_of(like.camera)
+        self.frame = lens_frame(like.camera)
         self.root = np.sqrt(usual_precision(like.evidence.radial_px))
         self.suns = [sun_directions(points.unix_s, SGP) for points in records]
 
@@ -54,7 +54,7 @@ class Stacked:
         for one in unknowns[: 20 * len(self.records)].reshape(-1, 20):
             vector = self.like.camera.to_vector()
             vector[LENS], vector[POSE] = self.frame.lens(one[:N_LENS]), one[N_LENS:]
-            found.append(self.like.camera.with_parameters(vector))
+            found.append(self.like.camera.replace_parameters(vector))
         return found
 
     def misfit(self, unknowns: FloatArray) -> FloatArray:

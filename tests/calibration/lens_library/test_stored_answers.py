@@ -10,7 +10,7 @@ import numpy as np
 from tests.calibration.conftest import SGP, SIZE, simulate
 from tests.fixtures.stored_answers import require_stored, said
 
-from sunarc.calibration.lens_library.conditioning import with_lens
+from sunarc.calibration.lens_library.conditioning import apply_lens_prior
 from sunarc.calibration.lens_library.first_pose import first_pose, north_sigma_deg
 from sunarc.calibration.lens_library.joint import Entry, calibrate_jointly
 from sunarc.calibration.lens_library.lens_type import LensType
@@ -44,7 +44,7 @@ def test_a_first_pose_is_the_stored_one(unit: Units, lens: LensType) -> None:
 
 def test_a_day_with_its_type_is_the_stored_one(lens: LensType, fitted: Fitted) -> None:
     points, solved = fitted(0)
-    found = with_lens(solved, lens, points=points, options=CalibrationOptions(level_within_deg=15.0))
+    found = apply_lens_prior(solved, lens, points=points, options=CalibrationOptions(level_within_deg=15.0))
     require_stored(_STORED, "with_lens", _of(found), relative=_RELATIVE)
 
 

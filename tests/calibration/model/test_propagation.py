@@ -52,7 +52,7 @@ def _drawn_pixels(calibration: Calibration, directions: FloatArray, count: int) 
     for _ in range(count):
         v = vector.copy()
         v[FREE] += root @ rng.standard_normal(FREE.size)
-        draws.append(project(calibration.camera.with_parameters(v), directions))
+        draws.append(project(calibration.camera.replace_parameters(v), directions))
     return np.array(draws)
 
 
@@ -77,7 +77,9 @@ def test_the_covariance_is_j_c_j_of_finite_differences() -> None:
     covariance = random_covariance(20, seed=4, scale=1e-4)
     directions = spread_directions(5)
     _, found = project_with_covariance(stated_calibration(camera, covariance=covariance), directions)
-    rows = numerical_derivative(lambda v: project(camera.with_parameters(v), directions), camera.to_vector())[..., FREE]
+    rows = numerical_derivative(lambda v: project(camera.replace_parameters(v), directions), camera.to_vector())[
+        ..., FREE
+    ]
     np.testing.assert_allclose(found, rows @ covariance @ np.swapaxes(rows, -1, -2), rtol=1e-4, atol=1e-9)
 
 
@@ -97,7 +99,9 @@ def test_a_field_that_hangs_together_with_the_camera_adds_its_cross_terms() -> N
     directions = spread_directions(5)
     pixels, found = project_with_covariance(calibration, directions)
     _, without = project_with_covariance(plain, directions)
-    rows = numerical_derivative(lambda v: project(camera.with_parameters(v), directions), camera.to_vector())[..., FREE]
+    rows = numerical_derivative(lambda v: project(camera.replace_parameters(v), directions), camera.to_vector())[
+        ..., FREE
+    ]
     waves = plain.field.basis.values(pixels)
     for n in range(5):
         # Cov(J b + f, J b + f) with f = (w . c_x, w . c_y): J X_a w in column a, and its transpose

@@ -13,7 +13,7 @@ from tests.fixtures.calibration import observed, small_camera, spread_directions
 from sunarc import _kernels
 from sunarc.calibration.model.options import EllipseScope, PaperOptions
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.paper import penalties_of
+from sunarc.calibration.paper import make_penalties
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import kernel_optics
 from sunarc.optics.projections import Projection
@@ -24,7 +24,7 @@ FALLING = (0.0, 0.0, -0.9, 0.0, 0.0, 0.0, 0.0, 0.0)
 def _fitted(
     camera: Camera, seen: Sightings, options: PaperOptions, *, steps: int, damping: float = 1e-3
 ) -> tuple[np.ndarray, float, np.ndarray]:
-    optics, weighed = kernel_optics(camera.at_every_angle()), penalties_of(camera.projection, options)
+    optics, weighed = kernel_optics(camera.at_every_angle()), make_penalties(camera.projection, options)
     assert seen.information.flags.c_contiguous
     sightings = seen.directions, seen.pixels, seen.information
     moving, start = np.arange(23), camera.to_vector()
@@ -53,7 +53,7 @@ def test_the_cost_and_a_step_are_those_of_the_rows(
     for damping in (1e-2, 1.0, 1e3):
         expected = damped_step(rows.jacobian.T @ rows.jacobian, -(rows.misfit @ rows.jacobian), damping)
         found, after, _ = _fitted(camera, seen, options, steps=1, damping=damping)
-        there = equations_in_numpy(camera.with_parameters(start + expected), seen, options).misfit
+        there = equations_in_numpy(camera.replace_parameters(start + expected), seen, options).misfit
         if 0.5 * float(there @ there) < cost:  # else the damping was raised
             np.testing.assert_allclose(found - start, expected, rtol=1e-5, atol=1e-7 * np.max(np.abs(expected)))
     assert after < cost  # the last one is short enough to gain

@@ -63,7 +63,7 @@ def test_the_cost_is_stationary(fitted: FitOutcome, seen: Sightings) -> None:
     def cost(values: FloatArray) -> FloatArray:
         vector = camera.to_vector()
         vector[moving] = values
-        changed = camera.with_parameters(vector)
+        changed = camera.replace_parameters(vector)
         off = (project(changed, seen.directions) - seen.pixels).ravel()
         return np.concatenate([off, penalties(changed, OPTIONS.paper, largest_angle=math.pi / 2)])
 

@@ -20,13 +20,13 @@ from tests.fixtures.calibration import (
 
 from sunarc.calibration.answers.covariance import project_with_covariance
 from sunarc.calibration.answers.error_model import (
-    error_model_of,
+    build_error_model,
+    coefficient_covariance,
     joint_covariance,
     moved,
+    parameter_covariance,
     predicted,
     rotated,
-    with_coefficients,
-    with_parameters,
 )
 from sunarc.calibration.model.result import Calibration
 from sunarc.common.errors import InputError
@@ -70,7 +70,7 @@ def test_every_angle_is_nearly_the_projection_s_limit() -> None:
 
 
 def test_a_changed_camera_has_the_parameters_and_the_rotation(calibration: Calibration) -> None:
-    model, camera = error_model_of(calibration), calibration.camera
+    model, camera = build_error_model(calibration), calibration.camera
     change = np.zeros(20)
     change[0], change[model.rotation] = 0.7, TURN
     found = moved(camera, model, change)
@@ -80,7 +80,7 @@ def test_a_changed_camera_has_the_parameters_and_the_rotation(calibration: Calib
 
 
 def test_derivatives_are_finite_differences_of_the_changed_camera(calibration: Calibration) -> None:
-    model, camera = error_model_of(calibration), calibration.camera
+    model, camera = build_error_model(calibration), calibration.camera
     directions = spread_directions(6)
     found = predicted(model, camera, directions)
     rows = numerical_derivative(lambda change: project(moved(camera, model, change), directions), np.zeros(20))
@@ -91,7 +91,7 @@ def test_derivatives_are_finite_differences_of_the_changed_camera(calibration: C
 
 def test_the_joint_covariance_has_the_stated_one_in_its_blocks(calibration: Calibration) -> None:
     directions = spread_directions(5)
-    model = error_model_of(calibration)
+    model = build_error_model(calibration)
     at = predicted(model, calibration.camera, directions)
     joint = joint_covariance(model, at).reshape(5, 2, 5, 2)
     _, expected = project_with_covariance(calibration, directions)
@@ -102,7 +102,7 @@ def test_the_joint_covariance_has_the_stated_one_in_its_blocks(calibration: Cali
 def test_the_joint_covariance_is_that_of_draws() -> None:
     camera = small_camera()
     calibration = stated_calibration(camera, amplitude_px=0.3)
-    model, directions = error_model_of(calibration), spread_directions(4)
+    model, directions = build_error_model(calibration), spread_directions(4)
     at = predicted(model, camera, directions)
     rng, n = np.random.default_rng(2), 4000
     change = rng.standard_normal((n, 20)) * np.sqrt(np.diag(model.covariance))
@@ -116,7 +116,7 @@ def test_the_joint_covariance_is_that_of_draws() -> None:
 def test_the_field_is_alike_at_near_places_and_its_axes_are_apart() -> None:
     camera = small_camera()
     calibration = stated_calibration(camera, covariance=np.zeros((20, 20)), amplitude_px=0.5, length_px=100.0)
-    model = error_model_of(calibration)
+    model = build_error_model(calibration)
     at = predicted(model, camera, spread_directions(3))
     joint = joint_covariance(model, at).reshape(3, 2, 3, 2)
     apart = np.linalg.norm(at.pixels[0] - at.pixels[1])
@@ -125,39 +125,39 @@ def test_the_field_is_alike_at_near_places_and_its_axes_are_apart() -> None:
 
 
 def test_the_covariance_of_the_parameters_with_the_prediction(calibration: Calibration) -> None:
-    model = error_model_of(calibration)
+    model = build_error_model(calibration)
     at = predicted(model, calibration.camera, spread_directions(3))
     flat = at.rows.reshape(6, 20)
     expected = model.covariance @ flat.T
     for n in range(3):
         for axis in (0, 1):
             expected[:, 2 * n + axis] += model.field.cross[axis] @ at.basis_values[n]
-    np.testing.assert_allclose(with_parameters(model, at), expected, rtol=1e-10)
+    np.testing.assert_allclose(parameter_covariance(model, at), expected, rtol=1e-10)
 
 
 def test_the_covariance_of_the_prediction_with_the_field_s_coefficients(calibration: Calibration) -> None:
-    model = error_model_of(calibration)
+    model = build_error_model(calibration)
     at = predicted(model, calibration.camera, spread_directions(3))
     for axis in (0, 1):
         expected = at.rows.reshape(6, 20) @ model.field.cross[axis]
         expected[axis::2] += at.basis_values * model.variances
-        np.testing.assert_allclose(with_coefficients(model, at, axis), expected, rtol=1e-10)
+        np.testing.assert_allclose(coefficient_covariance(model, at, axis), expected, rtol=1e-10)
 
 
 def test_without_a_field_there_are_no_waves() -> None:
-    model = error_model_of(stated_calibration(small_camera()))
+    model = build_error_model(stated_calibration(small_camera()))
     at = predicted(model, small_camera(), spread_directions(3))
     assert at.basis_values.shape == (3, 0)
     flat = at.rows.reshape(6, 20)
     np.testing.assert_allclose(joint_covariance(model, at), flat @ model.covariance @ flat.T, rtol=1e-10)
-    np.testing.assert_allclose(with_parameters(model, at), model.covariance @ flat.T, rtol=1e-10)
+    np.testing.assert_allclose(parameter_covariance(model, at), model.covariance @ flat.T, rtol=1e-10)
 
 
 def test_a_field_shorter_than_16_px_is_taken_as_16() -> None:
     calibration = stated_calibration(small_camera(), amplitude_px=0.1)
     short = replace(calibration, field=replace(calibration.field, length_px=3.0))
-    assert error_model_of(short).field.length_px == 16.0
-    assert error_model_of(calibration).field.length_px == 160.0
+    assert build_error_model(short).field.length_px == 16.0
+    assert build_error_model(calibration).field.length_px == 160.0
 
 
 def test_waves_that_a_document_left_out_come_back_without_cross_terms(calibration: Calibration) -> None:
@@ -165,7 +165,7 @@ def test_waves_that_a_document_left_out_come_back_without_cross_terms(calibratio
     kept = np.arange(len(orders)) % 2 == 0
     basis = replace(calibration.field.basis, orders=orders[kept])
     thin = replace(calibration, field=replace(calibration.field, basis=basis, cross=calibration.field.cross[..., kept]))
-    whole, found = error_model_of(calibration), error_model_of(thin)
+    whole, found = build_error_model(calibration), build_error_model(thin)
     assert len(found.field.basis.orders) == len(whole.field.basis.orders)
     np.testing.assert_allclose(found.field.cross[..., kept], whole.field.cross[..., kept])
     np.testing.assert_array_equal(found.field.cross[..., ~kept], 0.0)
@@ -174,12 +174,12 @@ def test_waves_that_a_document_left_out_come_back_without_cross_terms(calibratio
 def test_a_calibration_without_its_pose_is_refused() -> None:
     names = ("focal_length_x_px", "rotation_x", "rotation_y")
     with pytest.raises(InputError, check=lambda error: error.field == "uncertainty.parameters"):
-        error_model_of(stated_calibration(small_camera(), names=names))
+        build_error_model(stated_calibration(small_camera(), names=names))
 
 
 def test_a_free_rotation_widens_the_pose_and_nothing_else(calibration: Calibration) -> None:
-    model = error_model_of(calibration)
-    wider = model.with_free_rotation(TURN, sigma_rad=0.2)
+    model = build_error_model(calibration)
+    wider = model.add_free_rotation(TURN, sigma_rad=0.2)
     difference = wider.covariance - model.covariance
     np.testing.assert_allclose(difference[np.ix_(model.rotation, model.rotation)], 0.04 * np.eye(3), atol=1e-12)
     difference[np.ix_(model.rotation, model.rotation)] = 0.0
@@ -191,7 +191,7 @@ def test_a_free_rotation_widens_the_pose_and_nothing_else(calibration: Calibrati
 def test_a_camera_turned_as_a_whole_keeps_its_errors() -> None:
     """In the camera's axes the covariance of pixels does not depend on where the camera is turned to."""
     calibration = stated_calibration(small_camera())
-    model, directions = error_model_of(calibration), spread_directions(4)
+    model, directions = build_error_model(calibration), spread_directions(4)
     other: Camera = rotated(calibration.camera, np.array([0.4, 1.0, -2.0]))
     same_rays = directions @ rotation_matrix(calibration.camera.rotation_cam_enu).T
     elsewhere = same_rays @ rotation_matrix(other.rotation_cam_enu)

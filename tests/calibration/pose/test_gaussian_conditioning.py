@@ -11,7 +11,7 @@ from scipy.integrate import dblquad
 from scipy.stats import multivariate_normal
 from tests.fixtures.calibration import random_covariance, small_camera, spread_directions, stated_calibration
 
-from sunarc.calibration.answers.error_model import CameraErrorModel, error_model_of, joint_covariance, predicted
+from sunarc.calibration.answers.error_model import CameraErrorModel, build_error_model, joint_covariance, predicted
 from sunarc.calibration.evidence import PixelResiduals, false_density, fit_inlier_mixture, log_evidence, log_normal
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.pose import conditioned
@@ -150,7 +150,7 @@ def calibration() -> Calibration:
 
 @pytest.fixture(scope="module")
 def model(calibration: Calibration) -> CameraErrorModel:
-    return error_model_of(calibration)
+    return build_error_model(calibration)
 
 
 def test_conditioning_is_that_of_the_joint_gaussian(model: CameraErrorModel) -> None:
@@ -181,7 +181,7 @@ def test_conditioning_is_that_of_the_joint_gaussian(model: CameraErrorModel) -> 
 
 def test_conditioning_twice_is_conditioning_on_both(model: CameraErrorModel) -> None:
     """Without a field, whose joint covariance is not carried over, the order does not matter."""
-    plain = error_model_of(stated_calibration(small_camera()))
+    plain = build_error_model(stated_calibration(small_camera()))
     at = predicted(plain, small_camera(), spread_directions(6))
     seen = _seen(np.random.default_rng(3).normal(0.0, 0.3, (6, 2)), variance=0.01)
     first = np.arange(6) < 4
@@ -212,7 +212,7 @@ def test_no_sighting_changes_nothing(model: CameraErrorModel) -> None:
 
 def test_coverage_of_the_conditioned_errors() -> None:
     """Cameras drawn from the prior, 40 seeds: the posterior's 95 % hold the truth, neither more nor less."""
-    model = error_model_of(stated_calibration(small_camera()))
+    model = build_error_model(stated_calibration(small_camera()))
     at = predicted(model, small_camera(), spread_directions(8))
     inside = []
     for seed in range(40):

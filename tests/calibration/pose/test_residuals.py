@@ -11,7 +11,7 @@ from tests.fixtures.calibration import small_camera, stated_calibration, sun_arc
 
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.pose import MOST, gathered, inflation_of, noise_px
+from sunarc.calibration.pose import MOST, gathered, noise_px, variance_inflation
 from sunarc.common.robust_statistics import finite
 from sunarc.optics.forward import project
 
@@ -41,7 +41,7 @@ def test_noise_is_never_below_a_two_hundredth_of_a_pixel(calibration: Calibratio
 
 @pytest.mark.parametrize(("stated", "expected"), [(1.0, 1.0), (4.0, 4.0), (0.2, 1.0), (100.0, 25.0), (math.nan, 1.0)])
 def test_the_inflation_lies_between_1_and_25(calibration: Calibration, stated: float, expected: float) -> None:
-    assert inflation_of(_with(calibration, inflation=stated)) == expected
+    assert variance_inflation(_with(calibration, inflation=stated)) == expected
 
 
 def test_residuals_of_what_is_not_seen_lie_far_off() -> None:

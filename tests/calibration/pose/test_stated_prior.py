@@ -40,7 +40,7 @@ def stated(truth: Camera, tolerances: PriorTolerances, *, seed: int) -> Camera:
     rng, basis = np.random.default_rng(seed), whitened_basis(truth, tolerances)
     vector = truth.to_vector()
     vector[FREE] += basis @ rng.standard_normal(basis.shape[1])
-    return rotated(truth.with_parameters(vector), np.radians(tolerances.pose_deg or 0.0) * rng.standard_normal(3))
+    return rotated(truth.replace_parameters(vector), np.radians(tolerances.pose_deg or 0.0) * rng.standard_normal(3))
 
 
 def with_prior(seen: Simulated, prior: Camera, tolerances: PriorTolerances = TOLERANCES) -> Calibration:

@@ -15,7 +15,7 @@ from sunarc.calibration.acceptance import apart_sigmas
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance, sigma_deg, without_clock
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import time_step_s
-from sunarc.calibration.verdict import with_clock
+from sunarc.calibration.verdict import add_stated_clock
 from sunarc.formats.calibration_document import from_document
 
 STATED_S = 120.0
@@ -27,7 +27,7 @@ def fit() -> Calibration:
 
 
 def test_a_stated_clock_turns_directions_about_the_pole(fit: Calibration) -> None:
-    stated = with_clock(fit, STATED_S)
+    stated = add_stated_clock(fit, STATED_S)
     sky = hemisphere(300)
     more = np.sqrt(sigma_deg(stated, sky) ** 2 - sigma_deg(fit, sky) ** 2)
     latitude = math.radians(ATHENS.latitude)
@@ -41,7 +41,7 @@ def test_a_stated_clock_turns_directions_about_the_pole(fit: Calibration) -> Non
 
 
 def test_a_clock_that_nothing_bounds_is_said_and_changes_no_digit(fit: Calibration) -> None:
-    said = with_clock(fit, None)
+    said = add_stated_clock(fit, None)
     assert said.verdict.accepted
     assert said.verdict.findings[-1].code == "clock_unbounded"
     assert said.verdict.findings[-1].data["clock_error_s"] == 2.0
@@ -51,12 +51,12 @@ def test_a_clock_that_nothing_bounds_is_said_and_changes_no_digit(fit: Calibrati
 
 
 def test_half_a_minute_is_assumed_of_times_without_seconds_and_said(fit: Calibration) -> None:
-    said = with_clock(fit, None, step_s=60.0)
+    said = add_stated_clock(fit, None, step_s=60.0)
     by_code = {one.code: one.data for one in said.verdict.findings}
     assert by_code["times_without_seconds"]["clock_error_s"] == by_code["clock_unbounded"]["clock_error_s"] == 30.0
-    np.testing.assert_array_equal(said.covariance, with_clock(fit, 30.0).covariance)
+    np.testing.assert_array_equal(said.covariance, add_stated_clock(fit, 30.0).covariance)
     assert not said.evidence.clock_stated
-    assert "times_without_seconds" not in codes(with_clock(fit, None).verdict.findings)
+    assert "times_without_seconds" not in codes(add_stated_clock(fit, None).verdict.findings)
 
 
 @pytest.mark.parametrize(
@@ -77,15 +77,15 @@ def test_times_of_a_schedule_begin_on_the_minute(every: int, first: int, step_s:
 
 
 def test_comparisons_by_one_clock_do_not_have_it(fit: Calibration) -> None:
-    stated = with_clock(fit, STATED_S)
+    stated = add_stated_clock(fit, STATED_S)
     np.testing.assert_allclose(without_clock(stated).covariance, fit.covariance, rtol=1e-6, atol=1e-15)
     assert without_clock(stated).sky_rms_deg == fit.sky_rms_deg
     other = fitted(ATHENS, ATHENS, sigma_px=0.2)
-    assert apart_sigmas(stated, with_clock(other, STATED_S)) == pytest.approx(apart_sigmas(fit, other), rel=1e-4)
+    assert apart_sigmas(stated, add_stated_clock(other, STATED_S)) == pytest.approx(apart_sigmas(fit, other), rel=1e-4)
 
 
 def test_the_document_has_the_bound_and_both_uncertainties(fit: Calibration) -> None:
-    document = json.loads(json.dumps(current_document(with_clock(fit, STATED_S))))
+    document = json.loads(json.dumps(current_document(add_stated_clock(fit, STATED_S))))
     sky = document["uncertainty"]
     assert sky["sky_rms_without_clock_deg"] < 0.5 * sky["sky_rms_deg"]
     assert (document["evidence"]["clock_error_s"], document["evidence"]["clock_stated"]) == (STATED_S, True)

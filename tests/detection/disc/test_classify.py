@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from tests.detection.disc.fitting import SENSOR, good_fit
 
-from sunarc.detection.disc.detect import detection_of, is_flat, verdict_of
+from sunarc.detection.disc.detect import is_flat, judge_fit, make_detection
 from sunarc.detection.values import Expectation, Verdict
 
 FULL = float(SENSOR.full_scale)
@@ -23,7 +23,7 @@ def verdict(
     fit: dict[str, float] | None = None,
     **more: Any,  # noqa: ANN401 - a fit's fields
 ) -> tuple[Verdict, bool]:
-    name, accepted = verdict_of(good_fit(**(fit or {}), **more), expectation=expectation, sensor=SENSOR)[:2]
+    name, accepted = judge_fit(good_fit(**(fit or {}), **more), expectation=expectation, sensor=SENSOR)[:2]
     return name, accepted
 
 
@@ -146,7 +146,7 @@ def test_a_flat_fit_of_fewer_pixels_counts_by_its_chi2_in_all_and_none_is_not_fl
 
 def test_the_detection_holds_the_fits_numbers() -> None:
     fit = good_fit(stretch=np.diag([2.0, 3.0]), background=0.1 * FULL, level=0.4 * FULL)
-    found = detection_of(fit, verdict_of(fit, expectation=None, sensor=SENSOR), sensor=SENSOR, saturated_px=7)
+    found = make_detection(fit, judge_fit(fit, expectation=None, sensor=SENSOR), sensor=SENSOR, saturated_px=7)
     assert (found.method, found.x_px, found.y_px, found.sigma_px) == ("disc", 24.0, 24.0, 0.003)
     assert (found.residual_chi2, found.snr, found.saturated_px) == (1.0, 900.0, 7)
     assert found.peak_fraction == pytest.approx(0.5)
@@ -157,6 +157,6 @@ def test_the_detection_holds_the_fits_numbers() -> None:
 
 def test_a_negative_background_does_not_lower_the_peak() -> None:
     fit = good_fit(background=-0.1 * FULL)
-    found = detection_of(fit, verdict_of(fit, expectation=None, sensor=SENSOR), sensor=SENSOR, saturated_px=0)
+    found = make_detection(fit, judge_fit(fit, expectation=None, sensor=SENSOR), sensor=SENSOR, saturated_px=0)
     assert found.peak_fraction == pytest.approx(0.5)
     assert found.background_fraction == pytest.approx(-0.1)

@@ -10,7 +10,7 @@ import pytest
 from tests.detection.rendering import FloatArray
 
 from sunarc import _kernels
-from sunarc.detection.disc.model import information_of, normal_of
+from sunarc.detection.disc.model import normal_matrix, pixel_information
 
 ROWS, COLUMNS, GAIN, READ = 5, 6, 5.0, 2.0
 GLARE = (0.4, 0.1, 0.5, 2.2, 1.8)
@@ -138,7 +138,7 @@ def test_normal_matrix_and_gradient_are_those_of_weighted_least_squares() -> Non
     rng = np.random.default_rng(3)
     jacobian, weight, residual = rng.normal(size=(40, 5)), rng.uniform(0.1, 2.0, 40), rng.normal(size=40)
     jacobian[rng.random(jacobian.shape) < 0.3] = 0.0
-    matrix, gradient = normal_of(jacobian, weight, residual)
+    matrix, gradient = normal_matrix(jacobian, weight, residual)
     assert matrix == pytest.approx(jacobian.T @ (jacobian * weight[:, None]))
     assert gradient == pytest.approx(jacobian.T @ (weight * residual))
 
@@ -148,7 +148,7 @@ def test_information_is_that_of_the_hat_matrix() -> None:
     jacobian, weight, residual = rng.normal(size=(30, 4)), rng.uniform(0.5, 2.0, 30), rng.normal(size=30)
     jacobian[0] *= 40.0  # a leverage near 1, whose divisor is bounded by 0.05
     covariance: FloatArray = np.asarray(np.linalg.inv(jacobian.T @ (jacobian * weight[:, None])), np.float64)
-    by_pixel, chi2 = information_of(jacobian, weight, residual, covariance)
+    by_pixel, chi2 = pixel_information(jacobian, weight, residual, covariance)
     hat = np.sqrt(weight)[:, None] * jacobian @ covariance @ jacobian.T * np.sqrt(weight)
     assert hat[0, 0] > 0.96
     assert chi2 == pytest.approx(weight * residual**2 / np.maximum(1.0 - np.diag(hat), 0.05))

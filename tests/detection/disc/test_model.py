@@ -36,8 +36,8 @@ from sunarc.detection.disc.model import (
     inverse,
     normal_equations,
     render_disc,
+    solve_levels,
     unevenness,
-    with_levels,
     without,
 )
 
@@ -151,7 +151,7 @@ def test_levels_of_a_noiseless_disc_are_found_in_one_step() -> None:
     rows, columns = np.mgrid[: SHAPE[0], : SHAPE[1]]
     disc = disc_counts()
     counts = FLUX * disc + BACKGROUND + 0.4 * (columns - 11.0) - 0.3 * (rows - 10.0) + 0.002 * disc.sum(axis=0)
-    state, found = with_levels(problem_of(window_of(counts)), NONLINEAR)
+    state, found = solve_levels(problem_of(window_of(counts)), NONLINEAR)
     assert state.flux == pytest.approx([FLUX], rel=1e-6)
     assert state.background == pytest.approx([BACKGROUND], rel=1e-4)
     assert state.around == pytest.approx([0.4, -0.3, 0.002, 0.0], abs=1e-2)
@@ -161,7 +161,7 @@ def test_levels_of_a_noiseless_disc_are_found_in_one_step() -> None:
 def test_each_colour_has_its_own_flux_and_background() -> None:
     colour = bayer_window().astype(np.intp)
     counts = np.array([1.0, 0.5, 0.25])[colour] * FLUX * disc_counts() + np.array([10.0, 20.0, 30.0])[colour]
-    state, _ = with_levels(problem_of(window_of(counts, colour=colour, colours=3)), NONLINEAR)
+    state, _ = solve_levels(problem_of(window_of(counts, colour=colour, colours=3)), NONLINEAR)
     assert state.flux == pytest.approx(FLUX * np.array([1.0, 0.5, 0.25]), rel=1e-5)
     assert state.background == pytest.approx([10.0, 20.0, 30.0], rel=1e-3)
 
@@ -170,12 +170,12 @@ def test_pixels_that_are_not_linear_do_not_count_for_the_levels() -> None:
     counts = FLUX * disc_counts() + BACKGROUND
     linear = counts < 1500.0
     window = window_of(np.minimum(counts, 1500.0), linear=linear)
-    state, _ = with_levels(problem_of(window), NONLINEAR)
+    state, _ = solve_levels(problem_of(window), NONLINEAR)
     assert state.flux == pytest.approx([FLUX], rel=1e-4)
 
 
 def test_a_hole_has_no_negative_flux() -> None:
-    state, _ = with_levels(problem_of(window_of(1000.0 - 5000.0 * disc_counts())), NONLINEAR)
+    state, _ = solve_levels(problem_of(window_of(1000.0 - 5000.0 * disc_counts())), NONLINEAR)
     assert state.flux == pytest.approx([1e-3])
 
 
@@ -204,14 +204,14 @@ def test_the_inverse_is_that_of_numpy_and_finite_where_the_data_are_silent() -> 
 def test_an_even_disc_has_no_unevenness_and_a_tilted_one_that_of_least_squares() -> None:
     window = plain_window()
     problem = problem_of(window)
-    state, found = with_levels(problem, NONLINEAR)
+    state, found = solve_levels(problem, NONLINEAR)
     assert unevenness(problem, state, found) < 1e-6
     u, _ = SOURCES.core.positions.T
     tilted = render_disc(
         SHAPE, *CENTER, 0.7, STRETCH, SOURCES.core._replace(weights=SOURCES.core.weights * (1.0 + 0.3 * u))
     )
     problem = problem_of(window._replace(counts=FLUX * tilted[VALUE] + BACKGROUND))
-    state, found = with_levels(problem, NONLINEAR)
+    state, found = solve_levels(problem, NONLINEAR)
     assert unevenness(problem, state, found) == pytest.approx(uneven_by_least_squares(state, found, problem), rel=1e-3)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tests.detection.rendering import FloatArray, Image
 
-from sunarc.detection.disc.window import column_smear, excess_of_columns
+from sunarc.detection.disc.window import column_excess, column_smear
 
 
 def frame(smear: FloatArray, *, rows: int = 800, noise: float = 2.0, seed: int = 0) -> Image:
@@ -68,4 +68,4 @@ def test_an_empty_window_has_no_smear() -> None:
 def test_the_excess_of_a_column_is_its_median_above_the_lowest(rows: int) -> None:
     image = frame(peak(300.0), rows=rows, noise=20.0)
     median = np.median(image, axis=0)
-    np.testing.assert_allclose(excess_of_columns(image), median - median.min(), atol=1e-12)
+    np.testing.assert_allclose(column_excess(image), median - median.min(), atol=1e-12)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.detection.rendering import Image
 
-from sunarc.detection.disc.window import Window, column_smear, cut, excess_of_columns, saturated_level
+from sunarc.detection.disc.window import Window, column_excess, column_smear, cut, saturated_level
 from sunarc.detection.values import BAYERS, Bayer, Sensor
 
 SENSOR = Sensor(full_scale=4095, gain_e_per_count=4.884, black_level=32.0)
@@ -111,7 +111,7 @@ def test_a_column_stands_out_by_five_noises_of_its_median_over_the_darkest(rows:
     noise = 1.2533 * max(1.4826 * np.median(np.abs(image - level)), 0.3) / np.sqrt(rows)
     excess = level - level.min()
     stands_out = rows >= 8 and excess.max() >= 5.0 * noise
-    np.testing.assert_allclose(excess_of_columns(image), excess if stands_out else np.zeros(12))
+    np.testing.assert_allclose(column_excess(image), excess if stands_out else np.zeros(12))
 
 
 @pytest.mark.parametrize("mosaic", [False, True])

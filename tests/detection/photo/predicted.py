@@ -26,7 +26,7 @@ import numpy as np
 from tests.detection.photo.facts import KINDS, SUNLESS, Picture, sun_photo, sunless_photo
 
 from sunarc.detection.photo.candidates import candidates_in, whole_part
-from sunarc.detection.photo.ordinary_image import Photo, best_of, detect_sun_in_photo
+from sunarc.detection.photo.ordinary_image import Photo, choose_candidate, detect_sun_in_photo
 from sunarc.detection.values import Detection, Expectation, Verdict
 from sunarc.sources.image_files import checked_image
 
@@ -55,7 +55,7 @@ def by_whole(image: Picture, expectation: Expectation) -> Answer:
     seen = candidates_in(whole_part(image, static=None, bayer=None), full_scale=255)
     if not seen:
         return Answer("hidden", None)
-    best = best_of(seen, expectation)
+    best = choose_candidate(seen, expectation)
     return Answer(best.verdict, (best.seen.rim.x, best.seen.rim.y), best.seen.sigma_px)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.detection.rendering import FloatArray
 
-from sunarc.detection.photo.plateau import Mask, blobs_of, opened, thickest
+from sunarc.detection.photo.plateau import Mask, largest_blobs, opened, thickest
 
 
 def mask_of(*discs: tuple[float, float, float], size: int = 120) -> Mask:
@@ -22,7 +22,7 @@ def mask_of(*discs: tuple[float, float, float], size: int = 120) -> Mask:
 @pytest.mark.parametrize("radius", [5.0, 12.4, 30.0])
 def test_a_disc_has_its_centroid_diameter_and_box(radius: float) -> None:
     mask = mask_of((57.0, 61.0, radius))
-    (blob,) = blobs_of(mask, most=3)
+    (blob,) = largest_blobs(mask, most=3)
     assert (blob.x, blob.y) == pytest.approx((57.0, 61.0))
     assert blob.diameter == pytest.approx(2.0 * math.sqrt(float(mask.sum()) / math.pi))
     assert blob.diameter == pytest.approx(2.0 * radius, abs=0.6)
@@ -36,35 +36,35 @@ def test_a_disc_has_its_centroid_diameter_and_box(radius: float) -> None:
 def test_a_bar_has_its_middle_and_its_box() -> None:
     mask = np.zeros((60, 80), np.uint8)
     mask[20:24, 10:70] = 1
-    (blob,) = blobs_of(mask, most=1)
+    (blob,) = largest_blobs(mask, most=1)
     assert (blob.x, blob.y, blob.box) == (39.5, 21.5, (10, 20, 60, 4))
 
 
 def test_blobs_are_ordered_by_area_and_as_many_as_asked_for() -> None:
     mask = mask_of((20.0, 20.0, 5.0), (60.0, 60.0, 12.0), (100.0, 20.0, 8.0))
-    assert [round(blob.x) for blob in blobs_of(mask, most=5)] == [60, 100, 20]
-    assert [round(blob.x) for blob in blobs_of(mask, most=2)] == [60, 100]
-    assert blobs_of(mask, most=0) == []
+    assert [round(blob.x) for blob in largest_blobs(mask, most=5)] == [60, 100, 20]
+    assert [round(blob.x) for blob in largest_blobs(mask, most=2)] == [60, 100]
+    assert largest_blobs(mask, most=0) == []
 
 
 def test_pixels_that_touch_at_a_corner_are_one_blob() -> None:
     mask = np.zeros((10, 10), np.uint8)
     mask[3, 3] = mask[4, 4] = 1
-    (blob,) = blobs_of(mask, most=5)
+    (blob,) = largest_blobs(mask, most=5)
     assert (blob.x, blob.y) == (3.5, 3.5)
 
 
 def test_a_hole_does_not_count_for_the_diameter() -> None:
     mask = mask_of((60.0, 60.0, 20.0)) - mask_of((60.0, 60.0, 8.0))
-    (blob,) = blobs_of(mask, most=1)
+    (blob,) = largest_blobs(mask, most=1)
     assert blob.diameter == pytest.approx(2.0 * math.sqrt(400.0 - 64.0), rel=0.02)
 
 
 def test_one_pixel_is_a_blob_and_none_is_none() -> None:
     mask = np.zeros((5, 5), np.uint8)
-    assert blobs_of(mask, most=1) == []
+    assert largest_blobs(mask, most=1) == []
     mask[0, 4] = 1
-    (blob,) = blobs_of(mask, most=1)
+    (blob,) = largest_blobs(mask, most=1)
     assert (blob.x, blob.y, blob.box) == (4.0, 0.0, (4, 0, 1, 1))
     assert blob.diameter == pytest.approx(2.0 / math.sqrt(math.pi))
 

@@ -14,14 +14,14 @@ from sunarc.detection.photo.candidates import (
     Candidate,
     ImagePart,
     candidates_near,
+    faintest_plane,
     part_near,
-    plane_of,
     sigma_px,
     whole_part,
     window_step,
 )
 from sunarc.detection.photo.candidates import candidates_in as candidates_in_part
-from sunarc.detection.photo.rim import Rim, reach_of
+from sunarc.detection.photo.rim import Rim, light_radius
 from sunarc.detection.values import Bayer, Expectation
 
 
@@ -41,7 +41,7 @@ def test_a_candidate_of_a_mosaic_is_twice_that_of_its_cells() -> None:
     cells = glare_image(90.0, 80.0, radius=12.0)
     mosaic = np.repeat(np.repeat(cells, 2, axis=0), 2, axis=1)
     small, large = candidates_in(cells, full_scale=4095)[0], candidates_in(mosaic, full_scale=4095, bayer="RGGB")[0]
-    assert np.array_equal(plane_of(mosaic, "RGGB"), cells)
+    assert np.array_equal(faintest_plane(mosaic, "RGGB"), cells)
     assert (large.rim.x, large.rim.y) == pytest.approx((2.0 * small.rim.x + 0.5, 2.0 * small.rim.y + 0.5))
     lengths = ("radius", "scatter", "spread", "offset")
     assert [getattr(large.rim, name) for name in lengths] == pytest.approx(
@@ -114,7 +114,7 @@ def test_a_plateau_without_room_in_the_window_is_left_to_the_whole_image() -> No
 def test_a_part_holds_a_plateau_whose_rays_end_within_it(cell: int, column: int, row: int, beyond: float) -> None:
     radius, left, top, shape = 3.0, 70, 50, (101, 121)
     part = ImagePart(np.zeros(shape, dtype=np.uint16), None, left, top, (400, 500), cell)
-    room = [(shape[1] - 1) / 2.0 - reach_of(radius), (shape[0] - 1) / 2.0 - reach_of(radius)]
+    room = [(shape[1] - 1) / 2.0 - light_radius(radius), (shape[0] - 1) / 2.0 - light_radius(radius)]
     middle = np.array([left + (shape[1] - 1) / 2.0, top + (shape[0] - 1) / 2.0])
     cells = middle + np.array([column * (room[0] + beyond), row * (room[1] + beyond)])
     x, y = cell * cells + (cell - 1) / 2.0  # a cell's middle lies between its pixels

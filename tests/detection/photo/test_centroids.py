@@ -12,10 +12,10 @@ from tests.detection.rendering import FloatArray, Image
 
 from sunarc.detection.photo.urquhart2016 import (
     Plane,
+    find_peak,
     forstner,
     gaussian_sigma_px,
     kernels,
-    peak_of,
     smear_column,
     strongest,
     sun_blob,
@@ -108,11 +108,11 @@ def test_equal_maxima_are_averaged() -> None:
     response[2, 2] = response[2, 6] = 1.0
     response[4, 4] = 1.0 - 1e-6
     response[0, 8] = 1.0 - 4e-6
-    assert peak_of(response) == pytest.approx((4.0, 8.0 / 3.0))
+    assert find_peak(response) == pytest.approx((4.0, 8.0 / 3.0))
 
 
 def test_a_dark_plane_has_its_peak_in_the_middle() -> None:
-    assert peak_of(np.zeros((5, 9), np.float32)) == (4.0, 2.0)
+    assert find_peak(np.zeros((5, 9), np.float32)) == (4.0, 2.0)
 
 
 def row_with(column: int, height: float, *, size: int = 600, noise: float = 0.003, seed: int = 0) -> FloatArray:
@@ -165,11 +165,11 @@ def test_forstner_among_some_places_is_the_same_as_in_all() -> None:
 def test_places_as_high_to_two_millionths_are_averaged(below: float, *, tied: bool) -> None:
     response = np.zeros((20, 30), dtype=np.float64)
     response[4, 6], response[10, 12] = 1.0, 1.0 - below
-    assert peak_of(response) == ((9.0, 7.0) if tied else (6.0, 4.0))  # type: ignore[arg-type]
+    assert find_peak(response) == ((9.0, 7.0) if tied else (6.0, 4.0))  # type: ignore[arg-type]
 
 
 def test_a_dark_response_has_its_middle_as_the_peak() -> None:
-    assert peak_of(np.zeros((5, 9), dtype=np.float32)) == (4.0, 2.0)
+    assert find_peak(np.zeros((5, 9), dtype=np.float32)) == (4.0, 2.0)
 
 
 @pytest.mark.parametrize(("first_column", "peak"), [(41, 43.0), (40, 40.0)])

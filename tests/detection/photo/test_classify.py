@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sunarc.detection.photo.candidates import Candidate, sigma_px
-from sunarc.detection.photo.ordinary_image import Judged, best_of
+from sunarc.detection.photo.ordinary_image import Judged, choose_candidate
 from sunarc.detection.photo.rim import Rim
 from sunarc.detection.values import Expectation
 
@@ -37,7 +37,7 @@ SEEN = Candidate(
 
 
 def judged(seen: Candidate, expectation: Expectation | None = None) -> Judged:
-    return best_of([seen], expectation)
+    return choose_candidate([seen], expectation)
 
 
 def code(sigma: float = 0.6, off_glare_px: float = 2.0, **changes: Any) -> str:  # noqa: ANN401 - the rim's own fields
@@ -126,9 +126,9 @@ def test_without_a_prediction_a_sun_is_narrow_and_alone(radius: float, area: flo
 def test_the_most_sun_like_is_chosen() -> None:
     smaller = SEEN._replace(rim=RIM._replace(x=20.0, radius=4.0, scatter=0.2))
     box = SEEN._replace(rim=RIM._replace(x=180.0, radius=20.0, near=0.1))
-    assert best_of([smaller, box, SEEN], None).seen is SEEN
+    assert choose_candidate([smaller, box, SEEN], None).seen is SEEN
     near_the_smaller = Expectation(x_px=21.0, y_px=90.0, uncertainty_px=1.0)
-    assert best_of([smaller, box, SEEN], near_the_smaller).seen is smaller
+    assert choose_candidate([smaller, box, SEEN], near_the_smaller).seen is smaller
 
 
 @pytest.mark.parametrize(

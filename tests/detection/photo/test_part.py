@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sunarc.detection.photo.candidates import part_near, plane_of, whole_part
+from sunarc.detection.photo.candidates import faintest_plane, part_near, whole_part
 from sunarc.detection.values import Bayer, Expectation
 
 RNG = np.random.default_rng(2)
@@ -59,4 +59,4 @@ def test_there_is_room_within_a_window_and_at_the_edge_of_the_image_alone() -> N
 
 def test_the_whole_of_an_image_has_room_for_everything() -> None:
     assert whole_part(COLOUR, static=None, bayer=None).has_room(450.0, 350.0, 400.0)
-    assert np.array_equal(plane_of(COLOUR, None), COLOUR.min(axis=2))
+    assert np.array_equal(faintest_plane(COLOUR, None), COLOUR.min(axis=2))

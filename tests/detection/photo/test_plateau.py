@@ -14,9 +14,9 @@ from sunarc.common.array_types import Image
 from sunarc.detection.photo.plateau import (
     Near,
     Plateau,
+    cell_minimum,
     circle_box,
     faintest_colour,
-    faintest_of_mosaic,
     plateaus,
     static_mask,
 )
@@ -37,7 +37,7 @@ def test_the_faintest_colour_is_the_smallest_of_three() -> None:
 def test_the_faintest_of_a_mosaic_is_the_smallest_of_each_cell(shape: tuple[int, int]) -> None:
     image = np.random.default_rng(1).integers(0, 4096, shape).astype(np.uint16)
     cells = image[:20, :30].reshape(10, 2, 15, 2).min(axis=(1, 3))
-    assert np.array_equal(faintest_of_mosaic(image), cells)
+    assert np.array_equal(cell_minimum(image), cells)
 
 
 @pytest.mark.parametrize("radius", [4.0, 9.0, 22.0])

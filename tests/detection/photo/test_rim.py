@@ -15,13 +15,13 @@ from tests.fixtures.stored_answers import require_stored
 from sunarc.common.array_types import FloatArray, Image
 from sunarc.detection.photo.candidates import sigma_px
 from sunarc.detection.photo.plateau import Plateau
-from sunarc.detection.photo.rim import Rim, rim_of
+from sunarc.detection.photo.rim import Rim, fit_rim
 
 SUN = Plateau(100.0, 90.0, 9.0, 4095.0)
 
 
 def rim(image: NDArray[np.uint16], plateau: Plateau = SUN, static: NDArray[np.bool_] | None = None) -> Rim:
-    found = rim_of(image, plateau, static=static)
+    found = fit_rim(image, plateau, static=static)
     assert found is not None
     return found
 
@@ -106,15 +106,15 @@ def test_what_stands_still_is_not_taken_for_a_rim() -> None:
 
 
 def test_light_that_never_falls_has_no_rim() -> None:
-    assert rim_of(np.full((200, 200), 4095, np.uint16), SUN) is None
+    assert fit_rim(np.full((200, 200), 4095, np.uint16), SUN) is None
 
 
 def test_a_rim_far_from_the_plateau_is_none() -> None:
-    assert rim_of(glare_image(), Plateau(150.0, 90.0, 4.0, 4095.0)) is None
+    assert fit_rim(glare_image(), Plateau(150.0, 90.0, 4.0, 4095.0)) is None
 
 
 def test_at_the_corner_the_part_within_the_image_counts() -> None:
-    found = rim_of(glare_image(4.0, 5.0, radius=12.0), Plateau(6.0, 7.0, 7.0, 4095.0))
+    found = fit_rim(glare_image(4.0, 5.0, radius=12.0), Plateau(6.0, 7.0, 7.0, 4095.0))
     assert found is None or (distance(found, (4.0, 5.0)) < 2.0 and found.share < 0.8)
 
 
@@ -158,7 +158,7 @@ def edged_image(*, longer: float = 1.0, angle_deg: float = 30.0, covered_deg: fl
 
 
 def edged_rim(image: NDArray[np.uint8]) -> Rim:
-    found = rim_of(image, Plateau(101.0, 89.0, 20.0, 160.0))
+    found = fit_rim(image, Plateau(101.0, 89.0, 20.0, 160.0))
     assert found is not None
     return found
 
@@ -282,7 +282,7 @@ def test_every_number_of_a_rim_is_the_stored_one() -> None:
         cases += [((200.0 * step).round().astype(np.uint16), Plateau(100.0, 90.0, 10.0, 200.0), None)]
     known, numbers = [], []
     for image, plateau, static in cases:
-        found = rim_of(image, plateau, static=static)
+        found = fit_rim(image, plateau, static=static)
         known.append([found is not None, found.edged, found.circles] if found else [False])
         numbers += [] if found is None else [float(x) for x in found[:13]]
     answer: dict[str, list[object]] = {"codes": [*known], "numbers": [*numbers]}

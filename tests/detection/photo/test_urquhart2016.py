@@ -22,8 +22,8 @@ from sunarc.detection.photo.urquhart2016 import (
     gaussian_sigma_px,
     kernels,
     locate,
-    planes_of,
     smear_column,
+    split_planes,
     sun_blob,
 )
 
@@ -39,7 +39,7 @@ def test_sigma_is_the_papers(zenith_deg: float, sigma: float) -> None:
 @pytest.mark.parametrize("radius", [5.0, 20.0])
 @pytest.mark.parametrize("zenith_deg", [20.0, 85.0])
 def test_the_fast_path_answers_as_the_literal_one(place: tuple[float, float], radius: float, zenith_deg: float) -> None:
-    planes = planes_of(sky(x=place[0], y=place[1], radius=radius, smear=0.05), full_scale=4095)
+    planes = split_planes(sky(x=place[0], y=place[1], radius=radius, smear=0.05), full_scale=4095)
     zenith = math.radians(zenith_deg)
     fast, literal = (locate(planes, apparent_zenith=zenith, full_image=full) for full in (False, True))
     assert fast is not None
@@ -49,7 +49,7 @@ def test_the_fast_path_answers_as_the_literal_one(place: tuple[float, float], ra
 
 
 def test_the_literal_path_is_a_convolution_of_the_whole_image() -> None:
-    planes = planes_of(sky(x=212.0, y=251.0, radius=12.0), full_scale=4095)
+    planes = split_planes(sky(x=212.0, y=251.0, radius=12.0), full_scale=4095)
     found = locate(planes, apparent_zenith=math.radians(50), full_image=True)
     assert found is not None
     for index, kernel in enumerate(kernels(diameter=found.diameter, sigma=found.sigma)):
@@ -60,7 +60,7 @@ def test_the_literal_path_is_a_convolution_of_the_whole_image() -> None:
 
 
 def test_medians_of_four_rows_and_five_columns_find_the_blob() -> None:
-    planes = planes_of(sky(x=330.0, y=210.0, radius=15.0, smear=0.05), full_scale=4095)
+    planes = split_planes(sky(x=330.0, y=210.0, radius=15.0, smear=0.05), full_scale=4095)
     found = locate(planes, apparent_zenith=math.radians(40))
     assert found is not None
     assert (len(found.rows), len(found.columns)) == (4, 5)
@@ -80,7 +80,7 @@ def equisolid(angle: FloatArray) -> FloatArray:
 @pytest.mark.parametrize("shape", [(5, 5, 4), (5,), (0, 5)])
 def test_what_is_no_image_is_refused(shape: tuple[int, ...]) -> None:
     with pytest.raises(InputError, match="shape"):
-        planes_of(np.zeros(shape, np.uint8), full_scale=255)
+        split_planes(np.zeros(shape, np.uint8), full_scale=255)
 
 
 @pytest.mark.parametrize(
@@ -95,7 +95,7 @@ def test_what_is_no_image_is_refused(shape: tuple[int, ...]) -> None:
 )
 def test_another_type_or_full_scale_is_refused(image: NDArray[np.uint8], full_scale: int) -> None:
     with pytest.raises(InputError) as error:
-        planes_of(image, full_scale=full_scale)
+        split_planes(image, full_scale=full_scale)
     assert error.value.field == "image"
 
 
@@ -104,7 +104,7 @@ COLOURS = np.random.default_rng(0).integers(0, 256, (6, 7, 3))
 
 @pytest.mark.parametrize("image", [COLOURS.astype(np.uint8), COLOURS.astype(np.uint16)])
 def test_v_is_the_largest_colour_and_grey_their_mean(image: Image) -> None:
-    planes = planes_of(image, full_scale=255)
+    planes = split_planes(image, full_scale=255)
     assert planes.shape == (6, 7)
     assert planes.value() == pytest.approx(image.max(axis=2) / 255.0, abs=1e-6)
     assert planes.grey() == pytest.approx(image.mean(axis=2) / 255.0, abs=1e-6)
@@ -115,13 +115,13 @@ def test_v_is_the_largest_colour_and_grey_their_mean(image: Image) -> None:
 
 def test_a_mono_image_is_its_own_v_and_grey() -> None:
     image = np.arange(42, dtype=np.uint8).reshape(6, 7)
-    planes = planes_of(image, full_scale=42)
+    planes = split_planes(image, full_scale=42)
     assert planes.value() == pytest.approx(image / 42.0, abs=1e-6)
     assert planes.grey() == pytest.approx(image / 42.0, abs=1e-6)
 
 
 def estimates(columns: tuple[float, ...], rows: tuple[float, ...]) -> Estimates:
-    found = locate(planes_of(sky(x=100.0, y=90.0, radius=8.0, size=200), full_scale=4095), apparent_zenith=1.0)
+    found = locate(split_planes(sky(x=100.0, y=90.0, radius=8.0, size=200), full_scale=4095), apparent_zenith=1.0)
     assert found is not None
     return found._replace(columns=columns, rows=rows)
 
@@ -137,7 +137,7 @@ def test_the_position_is_the_medians_and_the_spread_that_of_four_estimators() ->
 
 
 def test_without_a_zenith_angle_the_kernels_are_as_wide_as_the_blob() -> None:
-    planes = planes_of(sky(x=300.0, y=280.0, radius=20.0), full_scale=4095)
+    planes = split_planes(sky(x=300.0, y=280.0, radius=20.0), full_scale=4095)
     found = locate(planes, apparent_zenith=None)
     assert found is not None
     assert found.sigma == pytest.approx(0.5 * found.diameter)
@@ -145,7 +145,7 @@ def test_without_a_zenith_angle_the_kernels_are_as_wide_as_the_blob() -> None:
 
 
 def test_the_diameter_is_that_of_the_saturated_area() -> None:
-    planes = planes_of(sky(x=300.0, y=280.0, radius=20.0), full_scale=4095)
+    planes = split_planes(sky(x=300.0, y=280.0, radius=20.0), full_scale=4095)
     found = locate(planes, apparent_zenith=1.0)
     assert found is not None
     saturated = np.count_nonzero(planes.counts == 4095)
@@ -155,15 +155,15 @@ def test_the_diameter_is_that_of_the_saturated_area() -> None:
 @pytest.mark.parametrize("level", [0, 100])
 def test_an_even_image_has_its_middle_and_single_pixels_have_nothing(level: int) -> None:
     image = np.full((60, 80), level, np.uint8)
-    found = locate(planes_of(image, full_scale=255), apparent_zenith=1.5)
+    found = locate(split_planes(image, full_scale=255), apparent_zenith=1.5)
     assert found is not None
     assert found.diameter == pytest.approx(2.0 * math.sqrt(60.0 * 80.0 / math.pi))
     image[::9, ::9] = 255
-    assert locate(planes_of(image, full_scale=255), apparent_zenith=1.5) is None
+    assert locate(split_planes(image, full_scale=255), apparent_zenith=1.5) is None
 
 
 def test_a_blob_at_the_corner_is_found() -> None:
-    planes = planes_of(sky(x=6.0, y=9.0, radius=5.0, size=300), full_scale=4095)
+    planes = split_planes(sky(x=6.0, y=9.0, radius=5.0, size=300), full_scale=4095)
     fast, literal = (locate(planes, apparent_zenith=math.radians(86.0), full_image=full) for full in (False, True))
     assert fast is not None
     assert literal is not None
@@ -180,7 +180,7 @@ def test_the_fast_path_has_half_a_kernel_around_the_blob(monkeypatch: pytest.Mon
         return around(planes, blob, reach)
 
     monkeypatch.setattr(urquhart2016, "surroundings", noted)
-    planes = planes_of(sky(x=212.0, y=251.0, radius=12.0), full_scale=4095)
+    planes = split_planes(sky(x=212.0, y=251.0, radius=12.0), full_scale=4095)
     locate(planes, apparent_zenith=math.radians(20.0))
     blob = sun_blob(planes.counts)
     assert blob is not None
@@ -196,7 +196,7 @@ def test_forstners_strip_is_as_wide_on_either_side_of_the_sun(monkeypatch: pytes
         return (value.shape[1] - 1) / 2.0, 0.0
 
     monkeypatch.setattr(centroids, "forstner", middle)
-    planes = planes_of(sky(x=300.0, y=280.0, radius=12.0), full_scale=4095)
+    planes = split_planes(sky(x=300.0, y=280.0, radius=12.0), full_scale=4095)
     found = locate(planes, apparent_zenith=math.radians(83.0))
     assert found is not None
     sun = float(np.median(found.columns[:3]))

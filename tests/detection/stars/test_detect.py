@@ -18,7 +18,7 @@ from tests.detection.stars.rendering import (
 )
 
 from sunarc.common.errors import InputError
-from sunarc.detection.stars.detect import Background, axes_of, clipped_cores, detect_stars, maxima_of
+from sunarc.detection.stars.detect import Background, clipped_cores, detect_stars, ellipse_axes, find_maxima
 from sunarc.detection.values import Stars
 
 FloatArray = NDArray[np.float64]
@@ -201,7 +201,7 @@ def test_the_axes_of_a_covariance_are_the_roots_of_its_eigenvalues() -> None:
     factors = np.random.default_rng(4).normal(size=(50, 2, 2))
     covariances = factors @ factors.swapaxes(-1, -2)
     expected_axes = np.sqrt(np.linalg.eigvalsh(covariances))
-    minor, major = axes_of(np.stack([covariances[:, 0, 0], covariances[:, 0, 1], covariances[:, 1, 1]], axis=-1))
+    minor, major = ellipse_axes(np.stack([covariances[:, 0, 0], covariances[:, 0, 1], covariances[:, 1, 1]], axis=-1))
     np.testing.assert_allclose(np.stack([minor, major], axis=-1), expected_axes, atol=1e-7)
 
 
@@ -237,4 +237,4 @@ def test_a_maximum_is_weighed_over_all_of_a_star_s_width(width: float, snr: floa
     plane = (height * np.exp(-0.5 * ((x - 80.0) ** 2 + (y - 120.0) ** 2) / width**2)).astype(np.float32)
     ground = Background(level=np.zeros_like(plane), noise=np.ones_like(plane))
     none, every = np.zeros(x.shape, dtype=bool), np.ones(x.shape, dtype=bool)
-    assert maxima_of(plane, ground, none, every, width).tolist() == [[80.0, 120.0]] * expected_maxima
+    assert find_maxima(plane, ground, none, every, width).tolist() == [[80.0, 120.0]] * expected_maxima

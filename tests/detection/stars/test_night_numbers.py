@@ -15,11 +15,11 @@ from sunarc.detection.stars.photometry import (
     NightTrend,
     StarLight,
     dew_suspected,
-    extinction_of,
+    fit_extinction,
     focus_ratio,
     limiting_magnitude,
+    night_trend,
     star_halo,
-    trend_of,
     zenith_bands,
 )
 from sunarc.sky.site import relative_air_mass
@@ -48,7 +48,7 @@ def test_extinction_and_zero_points_are_recovered_within_what_is_stated(extincti
     off, zero_off = [], []
     for seed in range(80):
         images = stars_of_a_night(seed, extinction=extinction, zero_points=zeros, wrong=0.05)
-        found = extinction_of(images, ZENITH_BANDS_DEG)
+        found = fit_extinction(images, ZENITH_BANDS_DEG)
         off.append((found.per_air_mass - extinction) / found.sigma)
         zero_off.append(found.zero_point - zeros)
         assert 0.005 < found.sigma < 0.03
@@ -60,7 +60,7 @@ def test_extinction_and_zero_points_are_recovered_within_what_is_stated(extincti
 
 def test_transparency_by_zenith_angle_is_that_of_the_air_in_between() -> None:
     images = stars_of_a_night(1, extinction=0.3, zero_points=(12.0,) * 20)
-    found = extinction_of(images, ZENITH_BANDS_DEG)
+    found = fit_extinction(images, ZENITH_BANDS_DEG)
     zenith, air = np.concatenate([one.zenith_deg for one in images]), np.concatenate([one.air_mass for one in images])
     for k, share in enumerate(found.transparency.tolist()):
         within = (zenith >= ZENITH_BANDS_DEG[k]) & (zenith < ZENITH_BANDS_DEG[k + 1])
@@ -69,14 +69,14 @@ def test_transparency_by_zenith_angle_is_that_of_the_air_in_between() -> None:
 
 
 def test_few_stars_or_a_narrow_sky_say_nothing_of_the_air() -> None:
-    few = extinction_of(stars_of_a_night(1, extinction=0.2, zero_points=(12.0,)), ZENITH_BANDS_DEG)
+    few = fit_extinction(stars_of_a_night(1, extinction=0.2, zero_points=(12.0,)), ZENITH_BANDS_DEG)
     assert math.isnan(few.per_air_mass)
     assert np.all(np.isnan(few.zero_point))
     (image,) = stars_of_a_night(1, extinction=0.2, zero_points=(12.0,), n=400)
     high = image.zenith_deg < 40.0
     narrow = picked(image, high)
-    assert math.isnan(extinction_of([narrow], ZENITH_BANDS_DEG).per_air_mass)
-    assert math.isnan(extinction_of([], ZENITH_BANDS_DEG).per_air_mass)
+    assert math.isnan(fit_extinction([narrow], ZENITH_BANDS_DEG).per_air_mass)
+    assert math.isnan(fit_extinction([], ZENITH_BANDS_DEG).per_air_mass)
 
 
 @pytest.mark.parametrize("cloud", [0.0, 0.4])
@@ -165,7 +165,7 @@ def test_a_night_that_dews_over_is_suspected_and_an_ordinary_one_is_not() -> Non
     def night(growth: float, halo: float, fading: float) -> NightTrend:
         late = np.linspace(0.0, 1.0, 30) ** 2
         noise: list[FloatArray] = [rng.normal(0.0, size, 30) for size in (0.03, 0.01, 0.05)]
-        return trend_of(
+        return night_trend(
             1.3 * (1.0 + growth * late) + noise[0], 0.02 + halo * late + noise[1], 12.0 - fading * late + noise[2]
         )
 
@@ -175,7 +175,7 @@ def test_a_night_that_dews_over_is_suspected_and_an_ordinary_one_is_not() -> Non
     assert all(dew_suspected(night(0.0, 0.2, 0.8), LIMITS) for _ in range(50))
     assert not dew_suspected(night(0.5, 0.0, 0.0), LIMITS)  # a lens that goes out of focus does not fade
     assert not dew_suspected(night(0.0, 0.0, 1.0), LIMITS)  # thin cloud
-    few = trend_of(np.ones(5), np.ones(5), np.ones(5))
+    few = night_trend(np.ones(5), np.ones(5), np.ones(5))
     assert math.isnan(few.width_growth)
     assert not dew_suspected(few, LIMITS)
 

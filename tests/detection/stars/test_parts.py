@@ -13,19 +13,19 @@ from sunarc.common.array_types import FloatArray, Image
 from sunarc.detection.stars.detect import (
     Background,
     Stamps,
-    background_of,
     detect_stars,
+    estimate_background,
+    find_maxima,
     fit_point_spreads,
     inverse_shape,
-    maxima_of,
+    light_plane,
+    mean_width,
     outstanding_pixels,
-    plane_of,
     repaired,
     shape_at,
     stamps_at,
     start_at,
     warm_pixels,
-    width_of,
 )
 from sunarc.detection.values import Bayer
 
@@ -49,7 +49,7 @@ def test_the_background_is_the_medians_of_tiles_of_32_pixels() -> None:
 
     level = between(medians(np.pad(plane, ((0, 28), (0, 10)), mode="reflect")), plane.shape)
     noise = 1.4826 * between(medians(np.pad(np.abs(plane - level), ((0, 28), (0, 10)), mode="reflect")), plane.shape)
-    found = background_of(plane.astype(np.float32), least_noise=5.9)
+    found = estimate_background(plane.astype(np.float32), least_noise=5.9)
     np.testing.assert_allclose(found.level, level, rtol=1e-5)
     np.testing.assert_allclose(found.noise, np.maximum(noise, 5.9), rtol=1e-4)
     assert 0.1 < np.mean(noise < 5.9) < 0.9
@@ -59,7 +59,7 @@ def test_the_background_is_the_medians_of_tiles_of_32_pixels() -> None:
 def test_light_is_the_mean_of_the_colours_and_clipped_is_a_pixel_or_its_neighbour_at_97_percent(colours: int) -> None:
     image = np.full((12, 14, colours), 100, dtype=np.uint16)
     image[3, 4, 0], image[8, 9, colours - 1], image[6, 1, 0] = 969, 970, 700
-    light, clipped = plane_of(image if colours == 3 else image[..., 0], 1000, None)
+    light, clipped = light_plane(image if colours == 3 else image[..., 0], 1000, None)
     expected_clipped = np.zeros((12, 14), dtype=bool)
     expected_clipped[7:10, 8:11] = True
     np.testing.assert_array_equal(clipped, expected_clipped)
@@ -82,7 +82,7 @@ def test_of_two_maxima_the_brighter_one_counts_where_they_are_close(
     cut_off = np.zeros(plane.shape, dtype=bool)
     cut_off[50, 50] = clipped
     ground = Background(np.zeros_like(plane), np.ones_like(plane))
-    places = maxima_of(plane, ground, cut_off, np.ones_like(cut_off), 1.1)
+    places = find_maxima(plane, ground, cut_off, np.ones_like(cut_off), 1.1)
     assert places.tolist() == [[30.0, 30.0], [30.0 + apart[0], 30.0 + apart[1]]][:found]
 
 
@@ -93,7 +93,7 @@ def test_no_star_is_looked_for_within_its_width_and_a_pixel_of_an_edge(place: in
     plane[(place, 20) if down else (20, place)] = 100.0
     ground = Background(np.zeros_like(plane), np.ones_like(plane))
     none = np.zeros(plane.shape, dtype=bool)
-    assert len(maxima_of(plane, ground, none, ~none, 1.1)) == found
+    assert len(find_maxima(plane, ground, none, ~none, 1.1)) == found
 
 
 @pytest.mark.parametrize("shape", [False, True])
@@ -195,7 +195,7 @@ def test_where_a_quadratic_is_no_shape_like_the_others_the_usual_one_stands() ->
 
     shape = np.stack([axis(known) ** 2, np.zeros(40), axis(known) ** 2], axis=-1)
     places = np.stack([np.arange(60.0, 460.0, 10.0), np.full(40, 150.0)], axis=-1)
-    expected_axis, middle = axis(places), float(np.median(width_of(shape)))
+    expected_axis, middle = axis(places), float(np.median(mean_width(shape)))
     like = (expected_axis > 0.4 * middle) & (expected_axis < 2.5 * middle)
     expected_axis[~like] = math.sqrt(float(np.median(shape[:, 0])))
     found = shape_at(known, shape, places, (300, 400))

@@ -31,7 +31,7 @@ from sunarc.imager.live.rtsp import RtspClient
 from sunarc.imager.live.snapshots import SnapshotClient
 from sunarc.imager.runtime.clock import VirtualClock
 from sunarc.sky.days import solar_date
-from sunarc.sources.file_kinds import kind_of
+from sunarc.sources.file_kinds import find_kind
 from sunarc.sources.image_times import TimeRules, timed_frames
 from sunarc.sources.sources import Folder
 
@@ -217,7 +217,7 @@ def read_names(count: int, seed: int) -> Counter[str]:
         source = Folder(folder)
         for _ in range(count):
             given = name(draw)
-            if kind_of(given) is None:
+            if find_kind(given) is None:
                 codes["no image"] += 1
                 continue
             path = Path(folder) / given

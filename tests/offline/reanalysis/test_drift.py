@@ -18,7 +18,7 @@ from sunarc.calibration.acceptance import apart_sigmas
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.changes.epoch_changes import drift_finding, drift_within, noise_of_days, spread_deg
+from sunarc.changes.epoch_changes import drift_finding, drift_within, estimate_daily_noise, spread_deg
 from sunarc.common.array_types import FloatArray
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles
@@ -90,7 +90,7 @@ def test_an_epoch_that_drifts_is_refused_with_what_drifts(code: str, key: str, t
 def test_one_that_stands_still_does_not_drift(seed: int) -> None:
     points = archive(seed, Drift(), per_day=10 + 10 * seed)
     fit = calibrate(points, site=SITE, image_size=SIZE, options=OPTIONS)
-    found = drift_within(points, fit.camera, SITE, noise_of_days(points, SITE))
+    found = drift_within(points, fit.camera, SITE, estimate_daily_noise(points, SITE))
     assert found is not None
     assert drift_finding(found) is None
     assert found.gain < 0.0
@@ -124,13 +124,13 @@ def test_too_few_sightings_say_nothing_of_a_drift() -> None:
     points = archive(0, Drift())
     fit = calibrate(points, site=SITE, image_size=SIZE, options=OPTIONS)
     some = points.select(slice(0, 12))
-    assert drift_within(some, fit.camera, SITE, noise_of_days(some, SITE)) is None
+    assert drift_within(some, fit.camera, SITE, estimate_daily_noise(some, SITE)) is None
 
 
 def test_days_that_a_camera_does_not_see_are_of_no_drift_of_it() -> None:
     points = archive(0, Drift())
     fit = calibrate(points, site=SITE, image_size=SIZE, options=OPTIONS)
-    narrow, noise = replace(fit.camera, max_angle=np.radians(55.0)), noise_of_days(points, SITE)
+    narrow, noise = replace(fit.camera, max_angle=np.radians(55.0)), estimate_daily_noise(points, SITE)
     low = sun_angles(points.unix_s, SITE).apparent_zenith > 60.0
     order = np.argsort(low, kind="stable")
     sorted_points = points.select(order)

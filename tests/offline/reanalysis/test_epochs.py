@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sunarc.archives.states import State, cause_of, with_true_clock
+from sunarc.archives.states import State, classify_cause, correct_clock
 from sunarc.calibration.evidence import likeliest_path
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.start.initial_guess import level_camera
@@ -68,9 +68,9 @@ def test_few_observations_have_a_path(n: int, k: int) -> None:
 
 
 def test_a_cause_is_the_lens_before_the_pose_before_the_clock() -> None:
-    assert cause_of(state(), state(lens=1, pose=1, clock=3600.0)) == "lens"
-    assert cause_of(state(), state(pose=1, clock=3600.0)) == "moved"
-    assert cause_of(state(), state(clock=3600.0)) == "clock"
+    assert classify_cause(state(), state(lens=1, pose=1, clock=3600.0)) == "lens"
+    assert classify_cause(state(), state(pose=1, clock=3600.0)) == "moved"
+    assert classify_cause(state(), state(clock=3600.0)) == "clock"
 
 
 @pytest.mark.parametrize(("counts", "expected"), [((3, 7), [-240.0, 0.0]), ((7, 3), [0.0, 240.0])])
@@ -79,7 +79,7 @@ def test_of_two_clocks_minutes_apart_that_is_right_which_most_sightings_have(
 ) -> None:
     states = [state(camera=level(), clock=0.0), state(camera=level(), clock=240.0)]
     path = np.repeat([0, 1], counts)
-    assert [one.clock_offset_s for one in with_true_clock(states, path, SITE)] == expected
+    assert [one.clock_offset_s for one in correct_clock(states, path, SITE)] == expected
 
 
 @pytest.mark.parametrize("hours", [-2.0, 1.0])
@@ -89,7 +89,7 @@ def test_of_two_clocks_hours_apart_that_is_right_by_which_the_camera_stands_leve
     leaning = replace(level(), rotation_cam_enu=rotation_vector(turn.as_matrix()))
     states = [state(camera=leaning, clock=0.0), state(camera=leaning, clock=-3600.0 * hours)]
     path = np.repeat([0, 1], (9, 1))
-    found = with_true_clock(states, path, SITE)
+    found = correct_clock(states, path, SITE)
     assert [one.clock_offset_s for one in found] == [3600.0 * hours, 0.0]
     for one in found:
         assert pose_angles(one.calibration.camera.rotation_cam_enu).theta_zz_deg < 0.1

@@ -15,7 +15,7 @@ import pytest
 from tests.fixtures.calibrations import SITE
 
 from sunarc.archives.fit import Final
-from sunarc.archives.obstructions import EpochImage, EpochImages, epoch_obstructions, images_of_epochs
+from sunarc.archives.obstructions import EpochImage, EpochImages, epoch_obstructions, select_epoch_images
 from sunarc.archives.passes import FoundSun, Looked
 from sunarc.archives.states import Epoch
 from sunarc.common.utc import DAY_S
@@ -80,7 +80,7 @@ def test_images_of_an_epoch_are_those_of_its_clearest_days_ten_minutes_apart_by_
     states = cast("Any", (SimpleNamespace(pose=0, clock_offset_s=0.0), SimpleNamespace(pose=0, clock_offset_s=60.0)))
     fitted = cast("Any", {0: SimpleNamespace(calibration=None)})
     final = Final(states, epochs, np.zeros(0, dtype=np.int64), fitted)
-    first, second = images_of_epochs(Looked(tuple(images), tuple(found)), final, (SIZE, SIZE))
+    first, second = select_epoch_images(Looked(tuple(images), tuple(found)), final, (SIZE, SIZE))
     days = {int(one.unix_s // DAY_S) for one in first.images}
     assert {0, 2} <= days <= {0, 1, 2, 3}
     times = np.array([one.unix_s for one in first.images])

@@ -13,7 +13,7 @@ from sunarc.common.findings import Finding
 from sunarc.detection.values import Detection, Expectation
 from sunarc.lab.simulation.made_archive import photograph
 from sunarc.sources import look
-from sunarc.sources.look import Answer, Chunk, Item, key_of, look_at, static_mask_of
+from sunarc.sources.look import Answer, Chunk, Item, find_static_mask, look_at, result_key
 
 SIZE = 240
 RNG = np.random.default_rng(4)
@@ -83,7 +83,7 @@ def test_what_stands_still_in_a_series_is_masked(tmp_path: Path) -> None:
         picture[8:20, 10:90] = 255
         pictures[f"{number:02d}.png"] = encoded(picture, ".png")
     items = tuple(Item(name, 0, None) for name in pictures)
-    mask = static_mask_of(Chunk("roof", str(folder_of(pictures, tmp_path)), "auto", (SIZE, SIZE), items))
+    mask = find_static_mask(Chunk("roof", str(folder_of(pictures, tmp_path)), "auto", (SIZE, SIZE), items))
     assert mask is not None
     unpacked = mask.unpacked()
     assert unpacked[12, 50]
@@ -92,9 +92,9 @@ def test_what_stands_still_in_a_series_is_masked(tmp_path: Path) -> None:
 
 def test_a_key_is_the_same_for_the_same_parts_alone() -> None:
     item = Item("a", 0, None, Expectation(x_px=1.0, y_px=2.0))
-    assert key_of(("1", item)) == key_of(("1", Item("a", 0, None, Expectation(x_px=1.0, y_px=2.0))))
-    assert key_of(("1", item)) != key_of(("2", item))
-    assert len(key_of(())) == 24
+    assert result_key(("1", item)) == result_key(("1", Item("a", 0, None, Expectation(x_px=1.0, y_px=2.0))))
+    assert result_key(("1", item)) != result_key(("2", item))
+    assert len(result_key(())) == 24
 
 
 def test_an_image_of_the_stated_content_is_not_looked_at_again(tmp_path: Path) -> None:

@@ -15,8 +15,8 @@ from sunarc.archives.passes import (
     FoundSun,
     Looked,
     by_true_times,
-    chunks_of,
     epoch_at,
+    make_chunks,
     rounded,
     without_frozen,
 )
@@ -41,7 +41,7 @@ def camera(images: list[ArchiveImage]) -> CameraImages:
 
 def test_a_chunk_is_of_one_source_and_day_and_holds_64_images_at_most() -> None:
     images = [image(day, number) for day in (3, 1) for number in range(130)] + [image(1, 5, "b.zip")]
-    chunks = chunks_of(camera(images), [(one, Item(one.file, 0, None)) for one in images], None)
+    chunks = make_chunks(camera(images), [(one, Item(one.file, 0, None)) for one in images], None)
     assert [(chunk.address, len(chunk.items)) for chunk in chunks] == [
         *[("a.zip", n) for n in (64, 64, 2, 64, 64, 2)], ("b.zip", 1),
     ]  # fmt: skip
@@ -52,7 +52,7 @@ def test_a_chunk_is_of_one_source_and_day_and_holds_64_images_at_most() -> None:
 
 def test_new_images_of_another_day_leave_the_chunks_of_the_others_as_they_were() -> None:
     def chunks(images: list[ArchiveImage]) -> set[object]:
-        return set(chunks_of(camera(images), [(one, Item(one.file, 0, None)) for one in images], None))
+        return set(make_chunks(camera(images), [(one, Item(one.file, 0, None)) for one in images], None))
 
     before = [image(1, number) for number in range(100)]
     assert chunks(before) < chunks([*before, *(image(2, number) for number in range(5))])

@@ -20,7 +20,7 @@ from tests.fixtures.postgresql import Server, postgresql
 from tests.offline.reanalysis.in_process import InProcess
 from tests.offline.reanalysis.made import MADE, analysed, indexed_in, tables_in
 
-from sunarc.archives.results import Summary, exports_of
+from sunarc.archives.results import Summary, export_all_formats
 from sunarc.common.errors import InputError, OutsideError
 from sunarc.formats.calibration_document import from_document
 from sunarc.formats.csv_files import read_sightings
@@ -204,10 +204,10 @@ def test_only_what_rests_on_something_else_is_made_again(
     out = tmp_path / "out"
     shutil.copytree(target, out)
 
-    def exports_of(document: dict[str, Any]) -> tuple[dict[str, bytes], dict[str, str]]:
+    def export_all_formats(document: dict[str, Any]) -> tuple[dict[str, bytes], dict[str, str]]:
         return {"id.txt": document["id"].encode(), "part/map.nc": document["camera"].encode()}, {"colmap": "no"}
 
-    monkeypatch.setattr("sunarc.archives.results.exports_of", exports_of)
+    monkeypatch.setattr("sunarc.archives.results.export_all_formats", export_all_formats)
     first, cluster = analysed(indexed_in(folder), out, monkeypatch, exports=True)
     assert set(cluster.calls) == {"exports_of"}
     files = {path: path.stat().st_mtime_ns for path in out.glob("exports/**/*.*")}
@@ -324,7 +324,7 @@ def test_without_any_image_a_run_is_refused(folder: Path, tmp_path: Path, monkey
 
 def test_a_calibration_is_written_in_all_formats(summary: Summary) -> None:
     document = next(iter(summary.documents.values()))
-    files, refused = exports_of(document)
+    files, refused = export_all_formats(document)
     names = {
         "map.nc",
         "calibration.nc",

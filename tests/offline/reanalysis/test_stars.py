@@ -17,9 +17,17 @@ from tests.offline.reanalysis.in_process import InProcess
 from tests.offline.test_star_files import CAMERA, SIZE, night_image
 
 from sunarc.archives import nights as stars_module
-from sunarc.archives.fit import CameraSightings, Final, Starry, better_of, document_of, fit_poses, starry_analysis
+from sunarc.archives.fit import (
+    CameraSightings,
+    Final,
+    Starry,
+    choose_better_calibrations,
+    fit_poses,
+    make_epoch_document,
+    starry_analysis,
+)
 from sunarc.archives.ledger import Ledger
-from sunarc.archives.nights import CameraNights, NightsLooked, name_stars, nights_of, star_points
+from sunarc.archives.nights import CameraNights, NightsLooked, collect_nights, name_stars, star_points
 from sunarc.archives.passes import Passes
 from sunarc.archives.states import ArchiveCamera, Epoch, State
 from sunarc.calibration.model.options import CalibrationOptions
@@ -100,7 +108,7 @@ def looked(nights: CameraNights, folder: Path) -> tuple[NightsLooked, list[Chunk
 
 @pytest.fixture(scope="module")
 def found(folder: Path) -> NightsLooked:
-    return looked(nights_of(camera_in(folder), (STATE,), ONE), folder)[0]
+    return looked(collect_nights(camera_in(folder), (STATE,), ONE), folder)[0]
 
 
 def test_the_stars_of_a_night_are_named_at_the_true_times(found: NightsLooked) -> None:
@@ -119,33 +127,33 @@ def test_the_stars_of_a_night_are_named_at_the_true_times(found: NightsLooked) -
 
 
 def test_a_night_is_looked_at_once_and_as_a_whole_when_something_changed(folder: Path, found: NightsLooked) -> None:
-    nights = nights_of(camera_in(folder), (STATE,), ONE)
+    nights = collect_nights(camera_in(folder), (STATE,), ONE)
     again, chunks = looked(nights, folder)
     assert (chunks, again) == ([], found)
     nothing = nights._replace(camera=replace(nights.camera, nights=()), nights=())
     assert looked(nothing, folder)[1] == []
     moved = STATE._replace(calibration=replace(STATE.calibration, camera=replace(CAMERA, rotation_cam_enu=(0, 0, 0))))
-    (chunk,) = looked(nights_of(camera_in(folder), (moved,), ONE), folder)[1]  # another calibration
+    (chunk,) = looked(collect_nights(camera_in(folder), (moved,), ONE), folder)[1]  # another calibration
     assert len(chunk.items) == 5
-    (chunk,) = looked(nights_of(camera_in(folder, *TIMES), (STATE,), ONE), folder)[1]  # other images beside it
+    (chunk,) = looked(collect_nights(camera_in(folder, *TIMES), (STATE,), ONE), folder)[1]  # other images beside it
     assert len(chunk.items) == 3
 
 
 def test_no_star_is_sought_where_the_image_shows_no_sky_nor_at_its_edge(folder: Path, tmp_path: Path) -> None:
     hidden = np.zeros((SIZE, SIZE), dtype=bool)
     hidden[:, : SIZE // 3] = True
-    nights = nights_of(camera_in(folder, *TIMES), (STATE,), ONE, [pack_mask(hidden)])
+    nights = collect_nights(camera_in(folder, *TIMES), (STATE,), ONE, [pack_mask(hidden)])
     points = star_points(looked(nights, tmp_path)[0], (STATE,), ONE)
     assert points is not None
     assert len(points) > 30
     assert np.min(points.pixels[:, 0]) > SIZE // 3 + 3.0
-    assert nights.nights[0].key != nights_of(camera_in(folder, *TIMES), (STATE,), ONE).nights[0].key
+    assert nights.nights[0].key != collect_nights(camera_in(folder, *TIMES), (STATE,), ONE).nights[0].key
 
 
 def test_an_image_that_a_detector_fails_on_leaves_the_others(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    first = nights_of(camera_in(folder, *TIMES), (STATE,), ONE).nights[0].images[0].unix_s
+    first = collect_nights(camera_in(folder, *TIMES), (STATE,), ONE).nights[0].images[0].unix_s
 
     def view(stars: Any, at: float, **options: Any) -> Any:  # noqa: ANN401 - as it is
         if at == first - LATE_S:
@@ -153,7 +161,7 @@ def test_an_image_that_a_detector_fails_on_leaves_the_others(
         return star_view(stars, at, **options)
 
     monkeypatch.setattr(stars_module, "star_view", view)
-    one = looked(nights_of(camera_in(folder, *TIMES), (STATE,), ONE), tmp_path)[0].looked.found
+    one = looked(collect_nights(camera_in(folder, *TIMES), (STATE,), ONE), tmp_path)[0].looked.found
     assert [type(each) for each in one] == [Finding, NamedStars, NamedStars]
     assert isinstance(one[0], Finding)
     assert one[0].code == "image_failed"
@@ -169,7 +177,7 @@ def images(nights: int, per_night: int) -> CameraImages:
 
 
 def test_of_a_night_60_images_are_looked_at_spread_over_it() -> None:
-    nights = nights_of(images(2, 119), (STATE,), ONE)
+    nights = collect_nights(images(2, 119), (STATE,), ONE)
     assert [len(night.images) for night in nights.nights] == [60, 60]
     assert [image.file for image in nights.nights[0].images[:3]] == ["0-000.png", "0-002.png", "0-004.png"]
     assert nights.left_out == ()
@@ -187,7 +195,7 @@ def test_of_a_night_60_images_are_looked_at_spread_over_it() -> None:
     ],
 )
 def test_a_night_between_two_poses_is_left_out(epochs: Sequence[Epoch], of: list[int | None]) -> None:
-    nights = nights_of(images(3, 4), (STATE, STATE), epochs)
+    nights = collect_nights(images(3, 4), (STATE, STATE), epochs)
     known = {night.images[0].file[0]: night.epoch for night in nights.nights}
     assert [known.get(f"{number}") for number in range(3)] == of
     assert {image.file[0] for image in nights.left_out} == {f"{n}" for n, one in enumerate(of) if one is None}
@@ -222,7 +230,8 @@ def test_the_stars_take_part_in_the_calibration(starry: Starry) -> None:
     errors = [project(one.calibration.camera, north) - project(CAMERA, north) for one in (before, after)]
     assert np.linalg.norm(errors[1]) < 0.7 * np.linalg.norm(errors[0])
     documents = [
-        document_of(one, starry.given.points, ONE[0], camera="roof", name="001", evidence={}) for one in (before, after)
+        make_epoch_document(one, starry.given.points, ONE[0], camera="roof", name="001", evidence={})
+        for one in (before, after)
     ]
     assert documents[0]["id"] != documents[1]["id"]
     assert documents[1]["evidence"]["selection"]["n_stars"] == len(starry.stars)
@@ -233,9 +242,9 @@ def test_a_refused_fit_of_suns_and_stars_leaves_that_of_the_suns(starry: Starry)
     good = starry.final.fitted[0]
     verdict = replace(good.calibration.verdict, accepted=False)
     refused = good._replace(calibration=replace(good.calibration, verdict=verdict))
-    assert better_of({0: good}, {0: refused}) == {0: good}
-    assert better_of({0: refused, 1: good}, {0: good}) == {0: good, 1: good}
-    assert better_of({0: refused}, {0: refused._replace(rows=good.rows[:1])})[0].rows.size == 1
+    assert choose_better_calibrations({0: good}, {0: refused}) == {0: good}
+    assert choose_better_calibrations({0: refused, 1: good}, {0: good}) == {0: good, 1: good}
+    assert choose_better_calibrations({0: refused}, {0: refused._replace(rows=good.rows[:1])})[0].rows.size == 1
 
 
 def test_stars_of_another_lens_change_nothing(starry: Starry) -> None:

@@ -15,17 +15,17 @@ from tests.finding_codes import codes
 from sunarc.archives.fit import (
     CameraSightings,
     FittedPose,
+    assign_lenses,
     final_analysis,
     first_analysis,
     kept_provisional,
-    with_lenses_by_evidence,
 )
 from sunarc.archives.states import ArchiveCamera, Epoch, State, alternation, surely_held
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.changes.epoch_changes import EpochCause, agreeing_days, change_within, is_of_lens, noise_of_days
+from sunarc.changes.epoch_changes import EpochCause, agreeing_days, change_within, estimate_daily_noise, is_lens_change
 from sunarc.common.array_types import FloatArray, stacked
 from sunarc.optics.forward import project
 from sunarc.sky.site import Site
@@ -162,10 +162,10 @@ def test_a_change_of_scale_is_told_from_a_turn_though_one_camera_was_fitted_to_b
     noise = np.random.default_rng(6).normal(0.0, 0.4, later.pixels.shape)
     later = replace(later, pixels=project(true, sun_directions(later.unix_s, SITE)) + noise)
     first, second = (
-        (points, replace(of, focal_length_px=(between, between)), noise_of_days(points, SITE))
+        (points, replace(of, focal_length_px=(between, between)), estimate_daily_noise(points, SITE))
         for points, of in ((before, camera), (later, turned))
     )
-    assert is_of_lens((first, second), SITE) is of_lens
+    assert is_lens_change((first, second), SITE) is of_lens
 
 
 @pytest.mark.parametrize(("scale", "said"), [(1.0, (0, 0)), (1.0, (0, 1)), (1.03, (0, 0)), (1.03, (0, 1))])
@@ -183,7 +183,7 @@ def test_lenses_are_those_of_the_evidence_whatever_the_search_took_them_for(
         State(one.calibration, lens=said[pose], pose=pose, clock_offset_s=0.0, sigma_px=0.3)
         for pose, one in fits.items()
     ]
-    named = with_lenses_by_evidence(points, late.astype(np.int64), states, fits, ArchiveCamera(SITE, SIZE, OPTIONS))
+    named = assign_lenses(points, late.astype(np.int64), states, fits, ArchiveCamera(SITE, SIZE, OPTIONS))
     assert (named[0].lens == named[1].lens) is (scale == 1.0)
 
 
@@ -249,14 +249,14 @@ def test_a_small_turn_is_found_by_the_noise_of_the_days(turn_deg: float, cause: 
     turned = Rotation.from_euler("xy", [turn_deg, -turn_deg], degrees=True).apply(directions)
     shift = project(camera, turned) - project(camera, directions)
     moved = replace(points, pixels=points.pixels + np.where(late[:, None], shift, 0.0))
-    found = change_within(moved, camera, SITE, noise_of_days(moved, SITE))
+    found = change_within(moved, camera, SITE, estimate_daily_noise(moved, SITE))
     assert (cause if found is None else found.cause) == cause
     assert found is None or abs(int(np.searchsorted(moved.unix_s, found.time)) - 75) <= 2
 
 
 def test_days_that_agree_are_the_longest_run_of_those_by_the_camera() -> None:
     points = archive(5, days=8, per_day=20, first_share=1.0, sigma_px=0.3)
-    noise = noise_of_days(points, SITE)
+    noise = estimate_daily_noise(points, SITE)
     assert np.median(noise) == pytest.approx(0.3, rel=0.35)
     residual = np.random.default_rng(0).normal(0.0, 0.3, points.pixels.shape)
     residual[40:60] += (3.0, 0.0)
@@ -306,7 +306,7 @@ def test_few_sightings_of_a_day_show_its_noise_too(count: int, sigma_px: float) 
     found = []
     for seed in range(20):
         noise = sigma_px * np.random.default_rng(seed).standard_normal((count, 2))
-        found.append(float(np.median(noise_of_days(Sightings.of(unix_s=times, pixels=true + noise), SITE))))
+        found.append(float(np.median(estimate_daily_noise(Sightings.of(unix_s=times, pixels=true + noise), SITE))))
     assert 0.75 * sigma_px < float(np.median(found)) < 1.25 * sigma_px
     assert min(found) > 0.3 * sigma_px
 
@@ -322,7 +322,7 @@ def test_days_of_few_sightings_show_their_noise_together(per_day: int, sigma_px:
     found = []
     for seed in range(20):
         pixels = true + sigma_px * np.random.default_rng(seed).standard_normal((times.size, 2))
-        found.append(float(np.median(noise_of_days(Sightings.of(unix_s=times, pixels=pixels), SITE))))
+        found.append(float(np.median(estimate_daily_noise(Sightings.of(unix_s=times, pixels=pixels), SITE))))
     assert 0.7 * sigma_px < float(np.median(found)) < 1.3 * sigma_px
     few = Sightings.of(unix_s=times[:20], pixels=true[:20])
-    assert np.all(noise_of_days(few, SITE) == 1.0)
+    assert np.all(estimate_daily_noise(few, SITE) == 1.0)

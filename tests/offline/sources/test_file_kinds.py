@@ -22,10 +22,10 @@ from sunarc.common.errors import InputError
 from sunarc.common.findings import Finding
 from sunarc.imager.live.folder_files import is_image
 from sunarc.sky.site import Site
-from sunarc.sources.file_kinds import FILE_KINDS, UNREAD, ending_of, is_derived, kind_of, stem_of
+from sunarc.sources.file_kinds import FILE_KINDS, UNREAD, find_kind, is_derived, listed_ending, path_stem
 from sunarc.sources.files import read_image
 from sunarc.sources.fits_files import counts
-from sunarc.sources.image_files import image_of, image_size
+from sunarc.sources.image_files import image_size, read_one_image
 from sunarc.sources.image_times import TimeRules, timed_frames
 from sunarc.sources.index import CameraPlan, Selector, index_archive
 from sunarc.sources.sources import open_source
@@ -70,7 +70,7 @@ FILES: dict[str, tuple[bytes, np.ndarray[Any, Any]]] = {
 def test_an_image_is_the_same_whatever_file_holds_it(name: str, tmp_path: Path) -> None:
     content, image = FILES[name]
     source = open_source(str(folder_of({name: content}, tmp_path)))
-    found = image_of(source, name)
+    found = read_one_image(source, name)
     np.testing.assert_array_equal(found, image)
     np.testing.assert_array_equal(read_image(tmp_path / name), image)  # as `sunarc detect` does
     assert found.dtype == image.dtype  # type: ignore[union-attr]
@@ -82,7 +82,7 @@ def test_an_image_is_the_same_whatever_file_holds_it(name: str, tmp_path: Path) 
 @pytest.mark.parametrize("share", [0.02, 0.5, 0.97])
 def test_a_file_that_ends_too_early_is_refused_in_a_line(name: str, share: float, tmp_path: Path) -> None:
     content = FILES[name][0][: int(share * len(FILES[name][0]))]
-    found = image_of(open_source(str(folder_of({name: content}, tmp_path))), name)
+    found = read_one_image(open_source(str(folder_of({name: content}, tmp_path))), name)
     assert isinstance(found, Finding)
     assert found.code in {"file_truncated", "file_not_image"}
     assert "\n" not in found.sentence
@@ -124,7 +124,7 @@ def test_each_image_of_an_aurora_imagers_minute_has_its_own_time(tmp_path: Path)
     frames = timed_frames(source, name, TimeRules(), names={name})
     assert [one.time for one in frames] == [one + timedelta(seconds=0.5) for one in starts]
     assert {(one.exposure_us, one.family) for one in frames} == {(1e6, "PGM header")}
-    np.testing.assert_array_equal(image_of(source, name, 7), DEEP + 7)
+    np.testing.assert_array_equal(read_one_image(source, name, 7), DEEP + 7)
     for content in (stacked(starts, stated=False), stacked(starts)[:900]):
         source = open_source(str(folder_of({name: content}, tmp_path / "b")))
         with pytest.raises(InputError):
@@ -139,7 +139,7 @@ def test_images_of_trex_in_hdf5_have_the_times_of_their_texts(tmp_path: Path) ->
     source = open_source(str(tmp_path))
     frames = timed_frames(source, "a.h5", TimeRules(), names={"a.h5"})
     assert [one.time for one in frames] == [NOON, NOON + timedelta(seconds=3)]
-    np.testing.assert_array_equal(image_of(source, "a.h5", 1), 255 - COLOURS)
+    np.testing.assert_array_equal(read_one_image(source, "a.h5", 1), 255 - COLOURS)
 
 
 @pytest.mark.parametrize("ending", UNREAD)
@@ -185,10 +185,10 @@ def test_every_kind_stands_in_the_page_and_an_example_of_it_is_dated() -> None:
     for kind in FILE_KINDS:
         row = f"| {kind.label} | {', '.join(f'`{one}`' for one in kind.endings)} | {kind.reader} | "
         assert f"{row}{'–' if kind.extra is None else f'`{kind.extra}`'} |" in page
-        assert kind_of(kind.example) == kind.kind
-        assert stem_of(kind.example) + ending_of(kind.example) == kind.example
+        assert find_kind(kind.example) == kind.kind
+        assert path_stem(kind.example) + listed_ending(kind.example) == kind.example
     assert all(f"`{ending}`" in page for ending in UNREAD)
-    assert kind_of("notes.txt") is None
+    assert find_kind("notes.txt") is None
 
 
 def test_images_whose_size_changes_are_two_cameras_and_the_day_is_said(tmp_path: Path) -> None:
@@ -213,12 +213,12 @@ BOMBS: dict[str, tuple[str, Callable[[bytes], bytes]]] = {
 }
 READ = """
 import resource, sys
-from sunarc.sources.image_files import image_of
+from sunarc.sources.image_files import read_one_image
 from sunarc.sources.sources import open_source
 import astropy.io.fits
-image_of(open_source(sys.argv[1] + "/small"), sys.argv[2])
+read_one_image(open_source(sys.argv[1] + "/small"), sys.argv[2])
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-found = image_of(open_source(sys.argv[1] + "/large"), sys.argv[2])
+found = read_one_image(open_source(sys.argv[1] + "/large"), sys.argv[2])
 print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024, getattr(found, "nbytes", 0) / 2**20)
 """
 
@@ -238,6 +238,6 @@ def test_a_bomb_takes_hardly_more_memory_than_the_image_that_its_header_states(k
 )
 def test_a_text_image_with_other_than_its_counts_is_refused(counts_of_it: bytes, tmp_path: Path) -> None:
     source = open_source(str(folder_of({"a.pgm": b"P2\n2 1\n255\n" + counts_of_it}, tmp_path)))
-    found = image_of(source, "a.pgm")
+    found = read_one_image(source, "a.pgm")
     assert isinstance(found, Finding)
     assert found.code in {"file_not_image", "file_truncated"}

@@ -16,15 +16,15 @@ from tests.offline.test_ingest_times import TAKEN, ZONE, taken, with_exif
 
 from sunarc.common.errors import InputError
 from sunarc.common.findings import FindingError
-from sunarc.sources.file_kinds import stem_of
+from sunarc.sources.file_kinds import path_stem
 from sunarc.sources.image_times import (
     TimedFrame,
     TimeRules,
+    parse_utc_offset,
     timed_frames,
-    utc_offset_of,
 )
 from sunarc.sources.name_examples import EXAMPLES, NameExample, names_as_markdown
-from sunarc.sources.name_times import ambiguous_times, time_in_name, zone_of
+from sunarc.sources.name_times import ambiguous_times, parse_zone, time_in_name
 from sunarc.sources.sources import open_source
 from sunarc.sources.time_patterns import checked_pattern, time_pattern
 
@@ -208,13 +208,13 @@ def test_a_time_that_the_clocks_of_a_place_showed_twice_or_never_is_refused(
     ("given", "offset"), [("-5", timedelta(hours=-5)), (5.5, timedelta(hours=5.5)), ("0", timedelta(0))]
 )
 def test_an_offset_is_hours(given: str | float, offset: timedelta) -> None:
-    assert utc_offset_of(given, field="--utc-offset") == offset
+    assert parse_utc_offset(given, field="--utc-offset") == offset
 
 
 @pytest.mark.parametrize("given", ["Europe", "Nowhere/Mast", "", "nan", "24", "../etc/passwd"])
 def test_an_offset_that_is_neither_hours_nor_a_zone_is_refused(given: str) -> None:
     with pytest.raises(InputError) as refused:
-        utc_offset_of(given, field="--utc-offset")
+        parse_utc_offset(given, field="--utc-offset")
     assert refused.value.field == "--utc-offset"
 
 
@@ -283,7 +283,7 @@ def test_each_name_of_the_table_has_its_time_by_itself_or_by_its_pattern(one: Na
         assert named is not None
         assert (named.time, named.ahead) == _stated(one.time)
     if one.pattern is not None:
-        assert time_pattern(one.pattern).read(stem_of(stem)) == _stated(one.time)
+        assert time_pattern(one.pattern).read(path_stem(stem)) == _stated(one.time)
 
 
 def _stated(text: str) -> tuple[datetime, timedelta | None]:
@@ -358,7 +358,7 @@ def test_what_strftime_writes_is_read_to_the_second_or_not_at_all() -> None:
     [("CEST", 2.0), ("GMT+5:30", 5.5), ("AWST", 8.0), ("GMT-5", -5.0), ("IST", None), ("+0517", None)],
 )
 def test_a_zone_of_one_meaning_is_read(zone: str, hours: float | None) -> None:
-    assert zone_of(zone) == (None if hours is None else timedelta(hours=hours))
+    assert parse_zone(zone) == (None if hours is None else timedelta(hours=hours))
 
 
 @pytest.mark.parametrize("zone", ["CEST", "GMT+5:30", "IST"])
@@ -373,7 +373,7 @@ def test_the_seconds_of_a_mobotix_header_go_before_its_local_time(zone: str, tmp
         assert code_of("e1.jpg", tmp_path / "out", content=without) == "file_time_zone"
     else:
         local = datetime(2024, 6, 11, 12, 0, 0, 323000, tzinfo=UTC)
-        ahead = zone_of(zone)
+        ahead = parse_zone(zone)
         assert ahead is not None
         assert frame_of("e1.jpg", tmp_path / "out", content=without).time == local - ahead
 

@@ -223,7 +223,7 @@ def sky_share_within(calibration: Calibration, limit_deg: float) -> float:
     return float(np.mean(sigma_deg(calibration, seen) <= limit_deg)) if seen.size else math.nan
 
 
-def with_covariance(calibration: Calibration, covariance: FloatArray) -> Calibration:
+def replace_covariance(calibration: Calibration, covariance: FloatArray) -> Calibration:
     """Return a calibration whose parameters have another covariance (p, p), by errors independent of the others."""
     changed = replace(calibration, covariance=covariance)
     if calibration.mixture is None:

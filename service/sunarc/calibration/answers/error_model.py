@@ -54,7 +54,7 @@ class CameraErrorModel:
         """(m,) of the field's coefficients before any sighting."""
         return self.field.amplitude_px**2 * self.field.basis.variances(length_px=self.field.length_px)
 
-    def with_free_rotation(self, mean: FloatArray, *, sigma_rad: float | FloatArray) -> CameraErrorModel:
+    def add_free_rotation(self, mean: FloatArray, *, sigma_rad: float | FloatArray) -> CameraErrorModel:
         """Return the error model after a rotation by `mean` (3,), radians, with a 1-sigma of all axes or of each."""
         covariance, at = self.covariance.copy(), self.mean.copy()
         covariance[np.ix_(self.rotation, self.rotation)] += sigma_rad**2 * np.eye(3)
@@ -78,7 +78,7 @@ class Predicted:
     basis_values: FloatArray
 
 
-def error_model_of(calibration: Calibration) -> CameraErrorModel:
+def build_error_model(calibration: Calibration) -> CameraErrorModel:
     """Return the error model that a calibration states.
 
     Raises
@@ -132,7 +132,7 @@ def joint_covariance(error_model: CameraErrorModel, prediction: Predicted) -> Fl
     flat = prediction.rows.reshape(2 * n, prediction.rows.shape[-1])
     result = flat @ error_model.covariance @ flat.T
     if error_model.field.amplitude_px > 0.0:
-        mixed = (flat @ _with_field(error_model, prediction)).reshape(2 * n, 2 * n)
+        mixed = (flat @ _field_covariance(error_model, prediction)).reshape(2 * n, 2 * n)
         result += mixed + mixed.T
         separation = prediction.pixels[:, None] - prediction.pixels
         smooth = error_model.field.amplitude_px**2 * np.exp(
@@ -153,14 +153,16 @@ def field_and_parameters(error_model: CameraErrorModel) -> FloatArray:
     return np.block([[error_model.covariance, cross], [cross.T, field]])
 
 
-def with_parameters(error_model: CameraErrorModel, prediction: Predicted) -> FloatArray:
+def parameter_covariance(error_model: CameraErrorModel, prediction: Predicted) -> FloatArray:
     """Return (p, 2n): the covariance of the parameters' errors with the prediction's."""
     flat = prediction.rows.reshape(-1, prediction.rows.shape[-1])
     result = error_model.covariance @ flat.T
-    return np.asarray(result + _with_field(error_model, prediction) if error_model.field.amplitude_px > 0.0 else result)
+    return np.asarray(
+        result + _field_covariance(error_model, prediction) if error_model.field.amplitude_px > 0.0 else result
+    )
 
 
-def with_coefficients(error_model: CameraErrorModel, prediction: Predicted, axis: int) -> FloatArray:
+def coefficient_covariance(error_model: CameraErrorModel, prediction: Predicted, axis: int) -> FloatArray:
     """Return (2n, m): the covariance of the prediction's errors with the coefficients of one component of the field."""
     result = prediction.rows.reshape(-1, prediction.rows.shape[-1]) @ error_model.field.cross[axis]
     values = prediction.basis_values
@@ -174,7 +176,7 @@ def _coupled(error_model: CameraErrorModel, prediction: Predicted) -> FloatArray
     return both.reshape(2 * both.shape[0], both.shape[2])
 
 
-def _with_field(error_model: CameraErrorModel, prediction: Predicted) -> FloatArray:
+def _field_covariance(error_model: CameraErrorModel, prediction: Predicted) -> FloatArray:
     """Return (p, 2n): the covariance of the parameters' errors with the field where the sun was seen."""
     both = np.stack([error_model.field.cross[axis] @ prediction.basis_values.T for axis in (0, 1)], axis=-1)
     return both.reshape(both.shape[0], 2 * both.shape[1])
@@ -185,7 +187,7 @@ def moved(camera: Camera, error_model: CameraErrorModel, change: FloatArray) -> 
     vector = camera.to_vector()
     vector[error_model.selected] += change
     vector[POSE] = rotated(camera, change[error_model.rotation]).rotation_cam_enu
-    return camera.with_parameters(vector)
+    return camera.replace_parameters(vector)
 
 
 def rotated(camera: Camera, rotation: FloatArray) -> Camera:
@@ -279,7 +281,7 @@ def draw_ensemble(calibration: Calibration, *, draws: int, seed: int, calibratio
     table = inverse_table(calibration.camera)
     radius = np.linspace(0.0, table.constants.limit, _RINGS)
     azimuth = np.linspace(0.0, 2.0 * math.pi, _SPOKES, endpoint=False)
-    errors = error_model_of(calibration)
+    errors = build_error_model(calibration)
     at = predicted(errors, calibration.camera, _polar_directions(table, radius, azimuth))
     sheets = np.empty((draws, _RINGS + 2, _SPOKES + 3, 2))
     # more draws begin with the same ones

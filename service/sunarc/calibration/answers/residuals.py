@@ -32,7 +32,7 @@ class Residuals:
     used: BoolArray
 
 
-def residuals_of(calibration: Calibration, points: Sightings) -> Residuals:
+def compute_residuals(calibration: Calibration, points: Sightings) -> Residuals:
     """Return the residuals of sightings, each against the pose of its epoch."""
     directions = apparent_directions(points, site=calibration.site)
     predicted, detected = np.full((len(points), 2), np.nan), np.full((len(points), 3), np.nan)

@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from sunarc.calibration.answers.covariance import pose_error, sky_sigma_deg, with_covariance
+from sunarc.calibration.answers.covariance import pose_error, replace_covariance, sky_sigma_deg
 from sunarc.calibration.fit.cross_validation import Doubts, HeldOut, doubts, held_out, without_parts
 from sunarc.calibration.fit.effects import (
     CLOCK_OFFSET_S,
@@ -32,7 +32,7 @@ from sunarc.calibration.model import result
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.residual_field import Field
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.quality.widening import with_pose_spread
+from sunarc.calibration.quality.widening import add_pose_spread
 from sunarc.calibration.solve.priors import FREE, FREE_NAMES, LENS, N_LENS, lens_prior, precisions
 from sunarc.calibration.start.initial_guess import level_camera
 from sunarc.calibration.verdict import fit_verdict
@@ -43,7 +43,7 @@ from sunarc.optics.camera import POSE, Camera, Param
 from sunarc.optics.displacement import wave_basis
 from sunarc.optics.forward import rising_limit
 from sunarc.optics.pose import pose_angles, right_jacobian, rotation_matrix, rotation_vector
-from sunarc.sky.days import date_of_day
+from sunarc.sky.days import day_to_date
 from sunarc.sky.site import Site
 
 _UNKNOWN_POSE = math.pi**2
@@ -72,7 +72,7 @@ class FitOutcome(NamedTuple):
 
     cameras: one an epoch. parameter_names, covariance (p, p), cross (2, p, m): of the last one, errors that no residual
     shows not yet folded in. residual (n, 2) px; used (n,): whether a sighting counted. mixture: None for a Gaussian.
-    doubts: of the fit by parts of the sightings; None where they are not asked for. sways_deg: see `with_pose_spread`.
+    doubts: of the fit by parts of the sightings; None where they are not asked for. sways_deg: see `add_pose_spread`.
     displaced (n, 2): px, by the proven errors of other days or hours than those of the camera.
     """
 
@@ -125,9 +125,9 @@ def calibration_from_fit(fitted: FitOutcome, job: Job, *, others: Sequence[Findi
         left_out=np.setdiff1d(np.arange(len(job.points)), usable.index[fitted.used]),
         night=fitted.night,
     )
-    calibration = with_covariance(calibration, 0.5 * (covariance + covariance.T))
+    calibration = replace_covariance(calibration, 0.5 * (covariance + covariance.T))
     rms, most = sky_sigma_deg(calibration)
-    calibration = with_pose_spread(replace(calibration, sky_rms_deg=rms, sky_max_deg=most), fitted.sways_deg)
+    calibration = add_pose_spread(replace(calibration, sky_rms_deg=rms, sky_max_deg=most), fitted.sways_deg)
     known = job.tilt_known or not job.parts  # one that is only compared with others is not asked
     now = replace(usable, pixels=usable.pixels - fitted.displaced)  # as the camera sees them
     verdict = fit_verdict(calibration, now, options, others=others, tilt_known=known)
@@ -163,7 +163,7 @@ def _evidence(job: Job, fitted: FitOutcome | None = None) -> result.Provenance:
     """Return the evidence of a fit, or its part without one."""
     known = job.points.clock_error_s[np.isfinite(job.points.clock_error_s)]
     none = result.Provenance(
-        days=tuple(date_of_day(int(day)).isoformat() for day in np.unique(job.usable.day)),
+        days=tuple(day_to_date(int(day)).isoformat() for day in np.unique(job.usable.day)),
         n_supplied=len(job.points),
         n_used=0,
         n_rejected=len(job.points),
@@ -266,7 +266,7 @@ def robust_outcome(fit: FitState, usable: Sightings, options: CalibrationOptions
         inflation=float(np.mean(fit.noise.inflation)) if len(usable) else math.nan,
         radial_px=fit.scales.radial_px,
         held_out=held_out(fit, usable, without),
-        log_odds=fit.log_odds | _season_share(fit, usable) | _change_of_picture(fit, usable),
+        log_odds=fit.log_odds | _season_share(fit, usable) | _state_picture_change(fit, usable),
         night=_night_difference(fit, usable),
         mixture=fit.posterior.mixture,
         doubts=found,
@@ -304,7 +304,7 @@ def _displaced(fit: FitState, names: Collection[str]) -> FloatArray:
     return np.asarray(np.sum(parts, axis=0)) if parts else np.zeros(fit.residual.shape)
 
 
-def _change_of_picture(fit: FitState, usable: Sightings) -> dict[str, float]:
+def _state_picture_change(fit: FitState, usable: Sightings) -> dict[str, float]:
     """Return scale and shift of the picture before its change, and the first day after it; nothing unless proven."""
     if not _is_proven(fit, PICTURE):
         return {}

@@ -13,7 +13,7 @@ import numpy as np
 from sunarc.calibration.answers.covariance import project_with_covariance, seen_sky
 from sunarc.calibration.fit.marginal_likelihood import MarginalFit, field_at, inverses, marginal_fit, prior_precision
 from sunarc.calibration.fit.posterior import prediction_variance, shown_sky
-from sunarc.calibration.fit.robust_fit import FitState, leverage_of
+from sunarc.calibration.fit.robust_fit import FitState, compute_leverage
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Kind, Sightings
 from sunarc.common.array_types import BoolArray, FloatArray, even_parts
@@ -308,7 +308,7 @@ def contradiction(fit: FitState, usable: Sightings) -> Finding | None:
     turn, offset = (fit.unknowns[fit.problem.block_slice(name)] for name in ("night_pose", "night_offset"))
     # the fit of the day's sightings alone: one linear step from the fit of both, with the same scales
     of_day = np.bincount(fit.member[night], minlength=fit.system.rows.shape[0]) == 0
-    alone = marginal_fit(fit.system.normal_of(of_day), fit.grid.basis, fit.scales)
+    alone = marginal_fit(fit.system.sum_bins(of_day), fit.grid.basis, fit.scales)
     measured = (
         ("pose_difference", float(np.linalg.norm(turn)), _PRIOR_SIGMAS),
         ("star_offset", float(np.linalg.norm(offset)), _PRIOR_SIGMAS),
@@ -324,7 +324,7 @@ def contradiction(fit: FitState, usable: Sightings) -> Finding | None:
     return None
 
 
-def of_one_kind(usable: Sightings, finding: Finding, *, night: bool) -> Sightings:
+def select_one_kind(usable: Sightings, finding: Finding, *, night: bool) -> Sightings:
     """Return the sightings of the night or of the day, with the finding that says why the others were left out."""
     kind = usable.select(usable.night == night)
     filtering = kind.filtering._replace(dropped=(*kind.filtering.dropped, finding))
@@ -383,8 +383,8 @@ def _sun_scatter(fit: FitState, alone: MarginalFit, usable: Sightings, of_day: B
         robust_sigma(np.linalg.norm(residual[track], axis=-1) / usable.sigma_px[track], floor=1e-9)
         for residual in residuals
     ]
-    sums = ((normal, together), (system.normal_of(of_day), alone))
-    followed = [2.0 * float(np.sum(leverage_of(system, *one, fit.scales, which=of_day))) for one in sums]
+    sums = ((normal, together), (system.sum_bins(of_day), alone))
+    followed = [2.0 * float(np.sum(compute_leverage(system, *one, fit.scales, which=of_day))) for one in sums]
     count = 2.0 * np.count_nonzero(track)
     free_both, free_alone = (max(count - one, 1.0) for one in followed)
     more = max(free_both - free_alone, 1.0)

@@ -21,7 +21,7 @@ from sunarc.calibration.model.options import USUAL_OPTIONS
 from sunarc.calibration.model.result import STRONG_EVIDENCE, TURN_ASKED
 from sunarc.calibration.model.sightings import Kind, Sightings, grid_steps_px
 from sunarc.calibration.noise import lag_one, neighbours
-from sunarc.calibration.solve.priors import LENS, STRETCH, with_wide_pixels
+from sunarc.calibration.solve.priors import LENS, STRETCH, free_pixel_aspect
 from sunarc.calibration.solve.problem import Block, FitProblem, by_elevation
 from sunarc.common.array_types import BoolArray, FloatArray, IntArray, even_parts
 from sunarc.common.robust_statistics import CUT, counted_roots, robust_sigma
@@ -160,7 +160,7 @@ def _displacements(view: _View) -> Iterator[tuple[str, FloatArray]]:
     if view.n_days > 1 and (before := _before_another_picture(view)) is not None:
         columns = np.concatenate([_by_picture(view), view.turned(_STEP_DEG)], axis=-1)
         yield PICTURE, columns * before[:, None, None]
-    if view.n_days >= _DAYS_OF_SEASON and np.any(seasons := seasons_of(seen.unix_s)):
+    if view.n_days >= _DAYS_OF_SEASON and np.any(seasons := season_columns(seen.unix_s)):
         for name, share in SEASONS.items():
             yield name, share * view.focal[:, :, None] * seasons[:, None]
     if view.n_days > 2:  # a mount that is turned otherwise on each run of days
@@ -210,7 +210,7 @@ def _before_another_picture(view: _View) -> BoolArray | None:
     left, variance, at = view.off, 1.0, 0
     for _ in range(_PASSES):
         distance = np.linalg.norm(left, axis=-1) * np.sqrt(view.seen.information)
-        root = roots_of_worst_day(distance, view.seen)
+        root = worst_day_roots(distance, view.seen)
         daily = _daily_products(view, np.concatenate([rows, view.off[..., None]], axis=-1) * root[:, None, None])
         # by the variance of the former pass, whose scale was another one
         steps = _Steps(daily / variance, view.at, view.precision)
@@ -254,7 +254,7 @@ class _Steps:
         return 0.5 * (np.sum(pull * mean, axis=1) - np.linalg.slogdet(information)[1]), found
 
 
-def roots_of_worst_day(distance: FloatArray, seen: Sightings) -> FloatArray:
+def worst_day_roots(distance: FloatArray, seen: Sightings) -> FloatArray:
     """Return the roots of the information (n,) at the scale of the day that is met worst: none is left out whole.
 
     `distance` (n,): of the sightings from where they are predicted, in their relative sigmas.
@@ -270,7 +270,7 @@ def _daily_products(view: _View, rows: FloatArray) -> FloatArray:
     return np.stack([one.T @ one for one in of_days])
 
 
-def seasons_of(unix_s: FloatArray) -> FloatArray:
+def season_columns(unix_s: FloatArray) -> FloatArray:
     """Return (n, k): changes of the focal length since the last sighting, whose camera is sought; relative to a season.
 
     0 in a record of a week or less, and of sightings without a time.
@@ -334,7 +334,7 @@ SHOWN_BY_STARS = frozenset({"night_offset", "night_pose", "air"})
 """Those that stars on all sides of the sky show: with them their means make the better camera."""
 
 
-def with_effects(
+def add_effects(
     problem: FitProblem,
     unknowns: FloatArray,
     observed: Sightings,
@@ -364,7 +364,7 @@ def with_effects(
 def _view(problem: FitProblem, unknowns: FloatArray, observed: Sightings) -> _View:
     """Return the sightings as the cameras of their epochs show them; 0 where one shows nothing."""
     n = len(observed)
-    wide = with_wide_pixels(problem.prior).basis[:, STRETCH]
+    wide = free_pixel_aspect(problem.prior).basis[:, STRETCH]
     stretched = np.zeros((len(Param), 2))
     stretched[LENS] = wide * np.any(wide != problem.prior.basis[:, STRETCH])
     (days, day), times = np.unique(observed.day, return_inverse=True), np.nan_to_num(observed.unix_s)

@@ -27,7 +27,7 @@ _MOST_BELOW = 0.03
 """Share of sightings that may be of a sun below the horizon: false ones at dusk."""
 
 
-def log_odds_of_tilt(fit: FitState, camera: Camera, site: Site) -> float | None:
+def tilt_log_odds(fit: FitState, camera: Camera, site: Site) -> float | None:
     """Return the natural log odds of a fit's camera against the most probable one that is level at another place.
 
     The sightings are the same, and the sky is turned as a whole: only the refraction of the sun's light differs.
@@ -40,7 +40,7 @@ def log_odds_of_tilt(fit: FitState, camera: Camera, site: Site) -> float | None:
     site : the one that was stated.
     """
     question = tilt_question(camera, site)
-    if question is None or not np.any(_of_sun(fit)):
+    if question is None or not np.any(_on_sun_path(fit)):
         return None
     level = level_place(camera, site)
     places = [Place(float(question.data["latitude"]), float(question.data["longitude"])), *_near(level)]
@@ -69,7 +69,7 @@ def _directions(fit: FitState, site: Site, place: Place) -> FloatArray | None:
 
     Sightings of other bodies keep theirs.
     """
-    observed, of_sun = fit.observed, _of_sun(fit)
+    observed, of_sun = fit.observed, _on_sun_path(fit)
     there = sun_directions(
         observed.unix_s[of_sun],
         replace(site, latitude=place.latitude, longitude=place.longitude),
@@ -83,7 +83,7 @@ def _directions(fit: FitState, site: Site, place: Place) -> FloatArray | None:
     return directions
 
 
-def _of_sun(fit: FitState) -> BoolArray:
+def _on_sun_path(fit: FitState) -> BoolArray:
     """Return (n,): whether a sighting's direction is that of the sun's path."""
     return np.asarray((fit.observed.kind == Kind.SUN) & ~fit.observed.alone)
 

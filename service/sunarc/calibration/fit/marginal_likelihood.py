@@ -67,7 +67,7 @@ class BasisProducts:
 
 def _field_axes(products: FloatArray, basis: WaveBasis, length_px: float) -> FieldAxes:
     spread = np.sqrt(basis.variances(length_px=length_px))
-    return _axes_of(spread, _factor(products * spread[:, None] * spread))
+    return _principal_axes(spread, _factor(products * spread[:, None] * spread))
 
 
 def _longer(axes: FieldAxes, basis: WaveBasis, length_px: float, longer_px: float) -> FieldAxes:
@@ -77,10 +77,10 @@ def _longer(axes: FieldAxes, basis: WaveBasis, length_px: float, longer_px: floa
     in addition that the longer field has still less of.
     """
     spread, longer = (np.sqrt(basis.variances(length_px=length)) for length in (length_px, longer_px))
-    return _axes_of(longer, (longer / spread**2)[:, None] * axes.transform * np.sqrt(axes.information))
+    return _principal_axes(longer, (longer / spread**2)[:, None] * axes.transform * np.sqrt(axes.information))
 
 
-def _axes_of(spread: FloatArray, factor: FloatArray) -> FieldAxes:
+def _principal_axes(spread: FloatArray, factor: FloatArray) -> FieldAxes:
     """Return the axes where the products in units of the spread (m,) are B B' of a factor (m, few)."""
     # the eigenvectors of B' B have half of the digits: the weakly determined axes keep components along the strongly
     # determined ones, and exact sightings would be no evidence; the QR decomposition removes these components
@@ -117,7 +117,7 @@ _VARIED = np.r_[RADIAL, DECENTERING]
 _N_RADIAL = RADIAL.stop - RADIAL.start
 
 
-class Scales(NamedTuple):
+class PriorScales(NamedTuple):
     """The choices, px: the field's amplitude and length, the scales of the radial distortion and the decentering."""
 
     amplitude_px: float
@@ -171,7 +171,7 @@ class MarginalFit:
     covariance: FloatArray
     cross: FloatArray
 
-    def with_coefficients_on(self, transform: FloatArray) -> MarginalFit:
+    def transform_coefficients(self, transform: FloatArray) -> MarginalFit:
         """Return the fit with its field's coefficients (r) as those (m) that an (m, r) matrix makes of them."""
         return replace(self, coefficients=self.coefficients @ transform.T, cross=self.cross @ transform.T)
 
@@ -210,7 +210,7 @@ def normal_sums(
 
 LOOSE_RADIAL_PX = 16.0
 LOOSE_DECENTERING_PX = 3.0
-"""Scales of the lens before its sightings are seen."""
+"""PriorScales of the lens before its sightings are seen."""
 
 
 def prior_precision(size: int, radial_px: float, decentering_px: float, *, n_unit: int = 0) -> FloatArray:
@@ -219,7 +219,7 @@ def prior_precision(size: int, radial_px: float, decentering_px: float, *, n_uni
     return np.concatenate([precisions(radial_px, decentering_px), poses, np.ones(n_unit)])
 
 
-def marginal_fit(normal: NormalEquations, basis: WaveBasis, scales: Scales) -> MarginalFit:
+def marginal_fit(normal: NormalEquations, basis: WaveBasis, scales: PriorScales) -> MarginalFit:
     """Return the fit under one choice of scales."""
     turned = Turned.of(normal, basis, scales.length_px)
     shrink = turned.axes.posterior_variances(np.array([scales.amplitude_px]))[0]
@@ -238,7 +238,7 @@ def marginal_fit(normal: NormalEquations, basis: WaveBasis, scales: Scales) -> M
     )
 
 
-def field_at(normal: NormalEquations, basis: WaveBasis, scales: Scales) -> FloatArray:
+def field_at(normal: NormalEquations, basis: WaveBasis, scales: PriorScales) -> FloatArray:
     """Return (2, m): the most probable coefficients of the field with the unknowns at `normal.at`."""
     turned = Turned.of(normal, basis, scales.length_px)
     shrink = turned.axes.posterior_variances(np.array([scales.amplitude_px]))[0]
@@ -441,7 +441,7 @@ class LensScaleEquations:
         result[:, _N_RADIAL:, _N_RADIAL:] = decentering
         return np.concatenate([radial * pull, step], axis=-1), result
 
-    def of_others(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def part_from_others(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the part that all unknowns take from the others, the turned ones being known and at rest.
 
         Returns
@@ -587,7 +587,7 @@ def normalised(log_weight: FloatArray) -> FloatArray:
     return np.asarray(weight / weight.sum())
 
 
-def likely_scales(weight: FloatArray, grid: HyperparameterGrid) -> Scales:
+def likely_scales(weight: FloatArray, grid: HyperparameterGrid) -> PriorScales:
     """Return the scales to fit with: the mean amplitude, and the mean logarithms of the others.
 
     Parameters
@@ -597,9 +597,9 @@ def likely_scales(weight: FloatArray, grid: HyperparameterGrid) -> Scales:
     radial, decentering = np.exp(np.sum(weight, axis=(0, 1)) @ np.log(grid.lens_scales))
     moment = np.sum(weight, axis=2) * grid.amplitudes[:, None]
     length = math.exp(float(np.sum(moment * np.log(grid.lengths)) / moment.sum()))
-    return Scales(float(moment.sum()), length, float(radial), float(decentering))
+    return PriorScales(float(moment.sum()), length, float(radial), float(decentering))
 
 
-def log_odds_of_a_field(log_weight: FloatArray) -> float:
+def field_log_odds(log_weight: FloatArray) -> float:
     """Return the log odds that there is a field larger than the floor; -inf where none larger is tried."""
     return float(np.logaddexp.reduce(log_weight[1:], axis=None) - np.logaddexp.reduce(log_weight[0], axis=None))

@@ -14,14 +14,14 @@ from sunarc.calibration.fit.marginal_likelihood import (
     FieldAxes,
     MarginalFit,
     NormalEquations,
-    Scales,
+    PriorScales,
     inverses,
     normal_sums,
     prior_precision,
 )
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.solve.priors import N_LENS
-from sunarc.calibration.solve.problem import Bins, FitProblem, Sighted, residuals_and_columns_of, vectors_of
+from sunarc.calibration.solve.problem import Bins, FitProblem, Sighted, camera_vectors, residuals_and_jacobian
 from sunarc.common.array_types import BoolArray, FloatArray
 from sunarc.common.robust_statistics import is_shown
 from sunarc.optics.displacement import WaveBasis
@@ -64,12 +64,12 @@ class LinearSystem:
         every = self.rows, self.basis_values, self.residual, self.observed.information
         return normal_sums(*every, at=self.at, ff=self.basis_products, n_unit=self.n_unit)
 
-    def normal_of(self, which: BoolArray) -> NormalEquations:
+    def sum_bins(self, which: BoolArray) -> NormalEquations:
         """Return the sums over the bins that are picked."""
         picked = self.rows[which], self.basis_values[which], self.residual[which], self.observed.information[which]
         return normal_sums(*picked, at=self.at, n_unit=self.n_unit)
 
-    def in_field_axes(self, scales: Scales) -> tuple[LinearSystem, FloatArray]:
+    def in_field_axes(self, scales: PriorScales) -> tuple[LinearSystem, FloatArray]:
         """Return the system with the field in its axes under some scales, few as they are, and these axes (m, r).
 
         Under these scales it says what the whole one does; coefficients (..., r) times the axes' transpose are those of
@@ -144,7 +144,7 @@ class Converged(NamedTuple):
     gain: float
 
 
-def most_probable_with_field(problem: FitProblem, system: LinearSystem, scales: Scales) -> Converged:
+def most_probable_with_field(problem: FitProblem, system: LinearSystem, scales: PriorScales) -> Converged:
     """Return the most probable unknowns and field by Gauss-Newton with halved steps.
 
     The weights stay: the rounds renew them.
@@ -170,7 +170,7 @@ def most_probable_with_field(problem: FitProblem, system: LinearSystem, scales: 
                 break
         if not gain >= _LEAST_GAIN:
             break
-    return Converged(at, sums.fit(at, equations).with_coefficients_on(transform), begin - sums.penalty)
+    return Converged(at, sums.fit(at, equations).transform_coefficients(transform), begin - sums.penalty)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -197,12 +197,12 @@ class _Equations:
     precision: FloatArray
 
     @classmethod
-    def of(cls, problem: FitProblem, system: LinearSystem, scales: Scales) -> _Equations:
+    def of(cls, problem: FitProblem, system: LinearSystem, scales: PriorScales) -> _Equations:
         """Return those of a system in the field's axes under some scales."""
         axes, root = system.basis_products.axes(system.basis, scales.length_px), np.sqrt(system.observed.information)
         spread = np.sqrt(axes.posterior_variances(np.array([scales.amplitude_px]))[0])
         return cls(
-            optics=problem.optics(),
+            optics=problem.kernel_numbers(),
             sighted=problem.sighted(system.observed),
             mean=problem.prior.mean,
             basis=np.ascontiguousarray(problem.prior.basis),
@@ -215,8 +215,8 @@ class _Equations:
     def about(self, at: FloatArray) -> _Sums:
         """Return the sums about some unknowns (p,)."""
         shared = at.size - self.sighted.systematic_px.shape[2]
-        vectors = vectors_of(self.mean, self.basis, at, (shared - N_LENS) // 3)
-        left, columns = residuals_and_columns_of(self.optics, vectors, self.sighted, at[shared:], self.basis)
+        vectors = camera_vectors(self.mean, self.basis, at, (shared - N_LENS) // 3)
+        left, columns = residuals_and_jacobian(self.optics, vectors, self.sighted, at[shared:], self.basis)
         left *= self.root
         columns *= self.root
         rows, of_field = self.field @ columns.swapaxes(1, 2), left @ self.field.T

@@ -22,7 +22,7 @@ from sunarc.calibration.fit.marginal_likelihood import (
     HyperparameterGrid,
     MarginalFit,
     NormalEquations,
-    Scales,
+    PriorScales,
     Turned,
     field_sums,
     inverses,
@@ -34,7 +34,7 @@ from sunarc.calibration.fit.normal_equations import LinearSystem
 from sunarc.calibration.model.residual_field import Field
 from sunarc.calibration.model.result import ErrorMixture
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.solve.priors import DECENTERING, HIGHER, STRETCH, with_wide_pixels
+from sunarc.calibration.solve.priors import DECENTERING, HIGHER, STRETCH, free_pixel_aspect
 from sunarc.calibration.solve.problem import FitProblem
 from sunarc.common.array_types import FloatArray, IntArray
 from sunarc.optics.displacement import WaveBasis
@@ -64,7 +64,7 @@ def seen_field(unseen: Field, normal: NormalEquations, covariance: FloatArray) -
 
 def prediction_variance(
     fit: MarginalFit,
-    scales: Scales,
+    scales: PriorScales,
     basis: WaveBasis,
     *,
     rows: FloatArray,
@@ -224,7 +224,7 @@ def stated_posterior(
     unknowns: FloatArray,
     *,
     grid: HyperparameterGrid,
-    scales: Scales,
+    scales: PriorScales,
     mean: FloatArray | None,
     stretched: float = 0.0,
 ) -> PosteriorCovariance:
@@ -240,10 +240,10 @@ def stated_posterior(
         are those before any sighting.
     stretched : the probability that pixels are not square, of which the problem may have the prior already.
     """
-    normal, products = system.normal(), of_products(problem, system, scales, grid)
+    normal, products = system.normal(), decentering_covariance(problem, system, scales, grid)
     sums = field_sums(normal, grid)
     choices = plausible(sums, grid, unknowns, mean, products)
-    wide = with_wide_pixels(problem.prior).basis[STRETCH, STRETCH]
+    wide = free_pixel_aspect(problem.prior).basis[STRETCH, STRETCH]
     square = (problem.prior.basis[STRETCH, STRETCH] / wide) ** 2
     if stretched > _NEGLIGIBLE_SHARE and np.any(square != 1.0):
         choices = choices.mixed(plausible(sums, grid, unknowns, mean, products, square=square), stretched)
@@ -308,7 +308,7 @@ def plausible(
     field = field.ravel()
     equations = sums.equations(pairs[:, 1] * grid.amplitudes.size + pairs[:, 0], grid.lens_scales, square)
     step, reduced = equations.fits(field, k)
-    known, at_rest, back = equations.of_others()
+    known, at_rest, back = equations.part_from_others()
     fitted = at_rest[field] + (back[field] @ step[..., None])[..., 0]
     fields = [
         _Field(sums.turned[b], sums.shrink[b][a], float(grid.amplitudes[a]), float(grid.lengths[b])) for a, b in pairs
@@ -416,7 +416,7 @@ class _Six(NamedTuple):
     log_prior: FloatArray
 
     @classmethod
-    def of(cls, problem: FitProblem, system: LinearSystem, scales: Scales, grid: HyperparameterGrid) -> _Six:
+    def of(cls, problem: FitProblem, system: LinearSystem, scales: PriorScales, grid: HyperparameterGrid) -> _Six:
         """Return the information of the sightings of a fit."""
         at, others = system.at, np.setdiff1d(np.arange(system.at.size), _DECENTERED)
         columns, n = _by_six(problem, system.observed, at), others.size
@@ -461,7 +461,7 @@ class _Six(NamedTuple):
         prior = np.repeat(self.scales_px[:, None] ** -2, 2, axis=1)
         return self._moment(to_six, information, pull[:, None], prior, log_share[:, None], self.values)
 
-    def of_gaussian(self) -> FloatArray:
+    def gaussian_covariance(self) -> FloatArray:
         """Return (6, 6): the same where the six are linear in p1 to p4."""
         slope = self.slope()
         prior = np.concatenate(
@@ -500,11 +500,13 @@ class _Six(NamedTuple):
         drawn = np.concatenate([normal, self.at[2:] + normal @ root.T])
         near = np.linalg.solve(root, (drawn - self.at[2:]).T)
         of_prior = -0.5 * np.sum(drawn**2, axis=1)
-        of_gaussian = -0.5 * np.sum(near**2, axis=0) - np.sum(np.log(np.diag(root)))
-        return drawn, of_prior - np.logaddexp(of_prior, of_gaussian)
+        gaussian_covariance = -0.5 * np.sum(near**2, axis=0) - np.sum(np.log(np.diag(root)))
+        return drawn, of_prior - np.logaddexp(of_prior, gaussian_covariance)
 
 
-def of_products(problem: FitProblem, system: LinearSystem, scales: Scales, grid: HyperparameterGrid) -> FloatArray:
+def decentering_covariance(
+    problem: FitProblem, system: LinearSystem, scales: PriorScales, grid: HyperparameterGrid
+) -> FloatArray:
     """Return (p, p): the part of the unknowns' covariance because the decentering is not linear in p1 to p4.
 
     It is (p1, p2) × (1 + p3 θ² + p4 θ⁴): linear in six numbers, and in p1 and p2 where p3 and p4 are known. Where p1
@@ -520,7 +522,7 @@ def of_products(problem: FitProblem, system: LinearSystem, scales: Scales, grid:
     moved = own[:, six.others] @ six.by_six + columns
     size, axes = np.linalg.eigh(moved.T @ moved)
     root = np.sqrt(np.maximum(size, _RIDGE * size[-1]))
-    larger, turned = np.linalg.eigh((axes * root).T @ (six.second_moment() - six.of_gaussian()) @ (axes * root))
+    larger, turned = np.linalg.eigh((axes * root).T @ (six.second_moment() - six.gaussian_covariance()) @ (axes * root))
     factor = (axes / root) @ turned * np.sqrt(np.maximum(larger, 0.0))
     prior = prior_precision(at.size, scales.radial_px, scales.decentering_px, n_unit=system.n_unit)
     alike = np.linalg.solve(own.T @ own + _FEW_PX * np.diag(prior), own.T @ columns @ factor)

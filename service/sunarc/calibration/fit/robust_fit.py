@@ -25,8 +25,8 @@ from sunarc.calibration.fit.effects import (
     SHOWN_BY_STARS,
     SWAYS,
     TURNING,
-    roots_of_worst_day,
-    with_effects,
+    add_effects,
+    worst_day_roots,
 )
 from sunarc.calibration.fit.marginal_likelihood import (
     LOOSE_DECENTERING_PX,
@@ -35,12 +35,12 @@ from sunarc.calibration.fit.marginal_likelihood import (
     HyperparameterGrid,
     MarginalFit,
     NormalEquations,
-    Scales,
+    PriorScales,
     field_at,
+    field_log_odds,
     field_sums,
     likely_scales,
     log_evidence,
-    log_odds_of_a_field,
     log_weights,
     marginal_fit,
     normalised,
@@ -54,10 +54,16 @@ from sunarc.calibration.model.result import STRONG_EVIDENCE, probability, proves
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.noise import Noise, NoiseGroups, measured_noise
 from sunarc.calibration.solve.levenberg_marquardt import information as information_of
-from sunarc.calibration.solve.priors import DECENTERING, RADIAL, STRETCH, Whitened, with_wide_pixels
+from sunarc.calibration.solve.priors import DECENTERING, RADIAL, STRETCH, Whitened, free_pixel_aspect
 from sunarc.calibration.solve.problem import FitProblem
 from sunarc.calibration.start.initial_guess import single_problem
-from sunarc.calibration.start.multistart import SMALLEST_SIGMA_PX, best_of_starts, best_start, distance_sigmas, lowest
+from sunarc.calibration.start.multistart import (
+    SMALLEST_SIGMA_PX,
+    best_start,
+    distance_sigmas,
+    lowest,
+    solve_from_starts,
+)
 from sunarc.common.array_types import BoolArray, FloatArray, IntArray
 from sunarc.common.robust_statistics import (
     CUT,
@@ -162,7 +168,7 @@ class FitState:
     """The scales that are tried, and the field's basis functions."""
     unknowns: FloatArray
     """(p,) The most probable unknowns."""
-    scales: Scales
+    scales: PriorScales
     """The scales that they were found with."""
     noise: Noise
     """The noise of each sighting, by which the last round weighed them."""
@@ -171,7 +177,7 @@ class FitState:
     scatter: FloatArray
     """(n, 2) px: residuals without the field's part."""
     leverage: FloatArray | None = None
-    """(n,) see `leverage_of`; None where each sighting has little."""
+    """(n,) see `compute_leverage`; None where each sighting has little."""
     field_odds: float = -math.inf
     """Log odds of a field."""
     block_odds: dict[str, float] = field(default_factory=dict)
@@ -213,7 +219,7 @@ class FitState:
     @cached_property
     def log_odds(self) -> dict[str, float]:
         """Log odds of the parts of the model, see `Provenance`."""
-        parts = log_odds_of_parts(self.normal, self.grid.basis, self.scales)
+        parts = part_log_odds(self.normal, self.grid.basis, self.scales)
         return {**parts, "field": self.field_odds, **self.block_odds}
 
     @cached_property
@@ -257,7 +263,7 @@ def robust_rounds(
         plain = _begun(problem, observed, plain, name)
     if PICTURE in problem.names:
         plain = _begun_with_camera(problem, observed, plain)
-    state = _with_proven(_with_field(problem, observed, plain, grid, groups))
+    state = _add_proven_effects(_fit_field(problem, observed, plain, grid, groups))
     # weighed before the camera's last step, which may bring the edge of what it shows past a low sun
     noise, shown = state.noise, is_shown(state.residual)
     noise = replace(noise, weight=noise.weight * shown, information=noise.information * shown)
@@ -285,7 +291,7 @@ def _begun_with_camera(problem: FitProblem, observed: Sightings, unknowns: Float
     """Return unknowns at which the days before another picture are met as well as those since."""
     precision = prior_precision(problem.size, LOOSE_RADIAL_PX, LOOSE_DECENTERING_PX, n_unit=problem.n_unit)
     for _ in range(_PASSES):
-        root = roots_of_worst_day(distance_sigmas(problem, observed, unknowns), observed)
+        root = worst_day_roots(distance_sigmas(problem, observed, unknowns), observed)
         left, columns = problem.linearised(unknowns, observed)
         columns = columns * root[:, None, None]
         products = np.einsum("nap,naq->pq", columns, columns, optimize=True) + np.diag(precision)
@@ -294,7 +300,7 @@ def _begun_with_camera(problem: FitProblem, observed: Sightings, unknowns: Float
     return unknowns
 
 
-def _with_field(
+def _fit_field(
     problem: FitProblem, observed: Sightings, plain: FloatArray, grid: HyperparameterGrid, groups: NoiseGroups
 ) -> FitState:
     """Return the rounds' answer.
@@ -334,7 +340,7 @@ def _begin(
     problem: FitProblem, observed: Sightings, plain: FloatArray, grid: HyperparameterGrid, groups: NoiseGroups
 ) -> FitState:
     """Return the state of a camera with a large field that explains the rest."""
-    scales = Scales(_FIRST_FIELD_PX, float(grid.lengths[0]), LOOSE_RADIAL_PX, LOOSE_DECENTERING_PX)
+    scales = PriorScales(_FIRST_FIELD_PX, float(grid.lengths[0]), LOOSE_RADIAL_PX, LOOSE_DECENTERING_PX)
     residuals = problem.residuals(plain, observed)
     noise = measured_noise(residuals, observed, groups)
     system = linear_system(problem, observed, groups.bins, plain, information=noise.information, basis=grid.basis)
@@ -366,7 +372,7 @@ def _improved(state: FitState) -> FitState:
     if "night_pose" in problem.names or few:
         there = system.moved(problem, found.unknowns)
         which = few | np.any(there.rows[..., problem.block_slice("night_pose")] != 0.0, axis=(1, 2))
-        leverage = leverage_of(there, there.normal(), found.fit, scales, which=which)[bins.member]
+        leverage = compute_leverage(there, there.normal(), found.fit, scales, which=which)[bins.member]
     smooth = (system.basis_values @ found.fit.coefficients.T)[bins.member]
     return replace(
         state,
@@ -376,12 +382,12 @@ def _improved(state: FitState) -> FitState:
         last_round=system,
         scatter=problem.residuals(found.unknowns, observed) - smooth,
         leverage=leverage,
-        field_odds=log_odds_of_a_field(log_weight),
+        field_odds=field_log_odds(log_weight),
         gain=found.gain,
     )
 
 
-def _with_proven(state: FitState) -> FitState:
+def _add_proven_effects(state: FitState) -> FitState:
     """Return the state with the shared errors that are possible, or that the sightings make so by their information.
 
     Those that are not proven are 0.
@@ -432,8 +438,8 @@ _LARGEST = 0.8
 """Of a star that stands alone; beyond it the residual says nothing of the noise."""
 
 
-def leverage_of(
-    system: LinearSystem, normal: NormalEquations, fit: MarginalFit, scales: Scales, *, which: BoolArray
+def compute_leverage(
+    system: LinearSystem, normal: NormalEquations, fit: MarginalFit, scales: PriorScales, *, which: BoolArray
 ) -> FloatArray:
     """Return (b,): the share of its noise's variance that the fit has taken up, of some bins; else 0.
 
@@ -471,7 +477,7 @@ def fit_robustly(
     fit = _fitted(problem, observed, problem.unknowns(cameras), groups, options)
     if not proves(PIXELS, fit.block_odds.get(PIXELS, 0.0)):
         return fit
-    wide = replace(problem, prior=with_wide_pixels(problem.prior))
+    wide = replace(problem, prior=free_pixel_aspect(problem.prior))
     start = wide.unknowns([fit.problem.camera(fit.unknowns, epoch) for epoch in range(problem.n_epochs)])
     start[STRETCH] += fit.unknowns[fit.problem.block_slice(PIXELS)]
     again = _fitted(wide, observed, start, groups, options)
@@ -482,7 +488,7 @@ def _fitted(
     problem: FitProblem, observed: Sightings, start: FloatArray, groups: NoiseGroups, options: CalibrationOptions
 ) -> FitState:
     """Return the fit with the lens's prior as it is."""
-    grid = grid_of(problem.template, options)
+    grid = make_hyperparameter_grid(problem.template, options)
     # first without a field: the best of several starts
     precision = prior_precision(problem.size, LOOSE_RADIAL_PX, LOOSE_DECENTERING_PX)
     at = best_start(problem, observed, start, precision=precision)
@@ -491,13 +497,13 @@ def _fitted(
     sigma = robust_sigma(distance_sigmas(problem, observed, at), share=share, floor=SMALLEST_SIGMA_PX)
     information = information_of(residuals, observed, sigma)
     means = groups.bins.observations(observed, problem, at, information=information)
-    deepest = best_of_starts(problem, means, at, precision=precision)
+    deepest = solve_from_starts(problem, means, at, precision=precision)
     plain = lowest(problem, observed, [at, deepest], precision=precision)
-    problem, observed = with_effects(problem, plain, observed, outwards_px=options.outwards_px)
+    problem, observed = add_effects(problem, plain, observed, outwards_px=options.outwards_px)
     return robust_rounds(problem, observed, plain, groups=groups, grid=grid)
 
 
-def grid_of(template: Camera, options: CalibrationOptions) -> HyperparameterGrid:
+def make_hyperparameter_grid(template: Camera, options: CalibrationOptions) -> HyperparameterGrid:
     """Return the scales that are tried for a camera's image."""
     return scale_grid(
         width=template.width,
@@ -516,7 +522,7 @@ _MENTIONED = math.log(3.0)
 """Log odds below which a difference is "not worth more than a bare mention" (Kass and Raftery 1995)."""
 
 
-def log_odds_of_parts(normal: NormalEquations, basis: WaveBasis, scales: Scales) -> dict[str, float]:
+def part_log_odds(normal: NormalEquations, basis: WaveBasis, scales: PriorScales) -> dict[str, float]:
     """Return the log odds, natural and at even ones before, of each part of the lens model against its being zero.
 
     Parameters

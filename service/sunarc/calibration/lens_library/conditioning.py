@@ -18,15 +18,22 @@ import numpy as np
 from sunarc.calibration.answers.covariance import sky_sigma_deg
 from sunarc.calibration.fit.assemble import tidied
 from sunarc.calibration.fit.robust_fit import allowed_level
-from sunarc.calibration.lens_library.lens_type import IN_FREE, PARTS, Gaussian, LensType, gaussian_of, information_of
+from sunarc.calibration.lens_library.lens_type import (
+    IN_FREE,
+    PARTS,
+    Gaussian,
+    LensType,
+    lens_gaussian,
+    sighting_information,
+)
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import (
     Calibration,
+    add_finding,
     fit_metrics,
     refused_for,
     residual_angles,
-    with_finding,
-    with_options,
+    state_options,
 )
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.solve.levenberg_marquardt import most_probable
@@ -86,10 +93,10 @@ def _departure_in(change: FloatArray, prior: FloatArray, posterior: FloatArray, 
     block = np.ix_(places, places)
     root = np.linalg.cholesky(prior[block])
     remaining = np.linalg.solve(root, np.linalg.solve(root, posterior[block]).T)
-    return departure_of(np.linalg.solve(root, change[places]), remaining)
+    return compute_departure(np.linalg.solve(root, change[places]), remaining)
 
 
-def departure_of(change: FloatArray, remaining: FloatArray) -> Departure:
+def compute_departure(change: FloatArray, remaining: FloatArray) -> Departure:
     """Return the departure of a posterior.
 
     Parameters
@@ -123,7 +130,7 @@ _LARGE_FIELD = 5.0
 """Amplitude of the field over the noise from which on the field, not the noise, says how closely a lens is known: the
 equations that have it integrated out are kept then."""
 _COMING_DOWN = (30.0, 5.0, 1.0)
-"""Scales of the robust loss, in sigmas: the lens of the type is some px off at first."""
+"""PriorScales of the robust loss, in sigmas: the lens of the type is some px off at first."""
 _UNKNOWN_POSE = 1e-8
 """Prior precision of a rotation, rad⁻²: none that counts."""
 
@@ -135,7 +142,9 @@ class Conditioned(NamedTuple):
     departure: Departure
 
 
-def with_lens(solved: Calibration, lens: LensType, *, points: Sightings, options: CalibrationOptions) -> Calibration:
+def apply_lens_prior(
+    solved: Calibration, lens: LensType, *, points: Sightings, options: CalibrationOptions
+) -> Calibration:
     """Return a fit of sightings with the prior of its type of lens.
 
     Refused where the sightings contradict the type; unchanged, with a finding, where the type makes an accepted fit
@@ -159,15 +168,15 @@ def with_lens(solved: Calibration, lens: LensType, *, points: Sightings, options
     if solved.camera.displacement is None and field_px < _LARGE_FIELD * solved.evidence.sigma_px:
         field_px, changed = 0.0, _at(changed, _most_probable(changed, lens, seen, options))
     if solved.verdict.accepted and not _as_good(changed.camera, solved, seen, latest, field_px):
-        return with_finding(solved, lens_finding("lens_prior_left_out", lens))
+        return add_finding(solved, lens_finding("lens_prior_left_out", lens))
     return _assessed(changed, lens, seen, latest, options)
 
 
 def conditioned_lens(solved: Calibration, lens: LensType) -> Conditioned:
     """Return the lens of a fit with its type in the place of the fit's own prior."""
     frame, prior = lens.frame, lens.in_frame()
-    posterior = gaussian_of(solved, frame)
-    known = information_of(posterior, solved.evidence.radial_px)
+    posterior = lens_gaussian(solved, frame)
+    known = sighting_information(posterior, solved.evidence.radial_px)
     inverse = np.linalg.inv(prior.covariance)
     covariance = np.linalg.inv(known.matrix + inverse)
     mean = covariance @ (known.vector + inverse @ prior.mean)
@@ -180,7 +189,7 @@ def moved_to_lens(solved: Calibration, lens: LensType, to: Gaussian, options: Ca
 
     What the field's own errors lose by that is left as it was: they are stated a little too large.
     """
-    frame, before = lens.frame, gaussian_of(solved, lens.frame)
+    frame, before = lens.frame, lens_gaussian(solved, lens.frame)
     from_frame = np.eye(FREE.size)
     from_frame[np.ix_(IN_FREE, IN_FREE)] = frame.basis
     covariance = np.linalg.solve(from_frame, np.linalg.solve(from_frame, solved.covariance).T)
@@ -198,12 +207,12 @@ def moved_to_lens(solved: Calibration, lens: LensType, to: Gaussian, options: Ca
         field=replace(solved.field, cross=from_frame @ (cross - by_lens @ taken @ of_field)),
         mixture=None,
     )
-    camera = tidied(solved.camera.with_parameters(vector), options)
+    camera = tidied(solved.camera.replace_parameters(vector), options)
     if camera.displacement is not None:
         # the field's mean follows the lens, too
         basis = solved.field.basis
         shift = np.einsum("alm,l->am", of_field, to.mean - before.mean)
-        camera = replace(camera, displacement=basis.displacement(basis.coefficients_of(camera.displacement) + shift))
+        camera = replace(camera, displacement=basis.displacement(basis.fit_coefficients(camera.displacement) + shift))
     return _at(changed, camera)
 
 
@@ -269,9 +278,9 @@ def _assessed(
     rms, most = sky_sigma_deg(changed)
     metrics = fit_metrics(residual, used[latest], angle)
     result = replace(changed, metrics=metrics, sky_rms_deg=rms, sky_max_deg=most)
-    result = with_options(result, lens_prior=lens.as_evidence())
+    result = state_options(result, lens_prior=lens.as_evidence())
     result = replace(result, verdict=fit_verdict(result, seen, options))
-    return with_finding(result, lens_finding("lens_prior_used", lens))
+    return add_finding(result, lens_finding("lens_prior_used", lens))
 
 
 def lens_finding(code: str, lens: LensType) -> Finding:

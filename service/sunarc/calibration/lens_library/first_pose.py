@@ -17,7 +17,7 @@ import numpy as np
 
 from sunarc.calibration.answers.error_model import (
     CameraErrorModel,
-    error_model_of,
+    build_error_model,
     joint_covariance,
     moved,
     predicted,
@@ -33,17 +33,17 @@ from sunarc.calibration.lens_library.conditioning import (
 )
 from sunarc.calibration.lens_library.lens_type import IN_FREE, PARTS, LensType
 from sunarc.calibration.model.options import CalibrationOptions, FirstPoseOptions
-from sunarc.calibration.model.result import Calibration, refused_for, with_finding, with_options
+from sunarc.calibration.model.result import Calibration, add_finding, refused_for, state_options
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.pose import (
     MOST,
     PoseFit,
+    assign_noise,
     conditioned_pose,
+    make_outcome,
     options_about,
-    outcome_of,
     settled,
     stated_calibration,
-    with_noise,
 )
 from sunarc.calibration.solve.priors import FREE, N_LENS
 from sunarc.calibration.start.initial_guess import ransac_rotation
@@ -75,7 +75,7 @@ def levelling(camera: Camera) -> FloatArray:
 
 def north_sigma_deg(calibration: Calibration) -> float:
     """Return the 1-sigma of the camera's rotation about the vertical, degrees."""
-    error_model = error_model_of(calibration)
+    error_model = build_error_model(calibration)
     about_up = rotation_matrix(calibration.camera.rotation_cam_enu) @ np.array([0.0, 0.0, 1.0])
     covariance = error_model.covariance[np.ix_(error_model.rotation, error_model.rotation)]
     return math.degrees(math.sqrt(max(float(about_up @ covariance @ about_up), 0.0)))
@@ -149,7 +149,7 @@ def first_pose(
     # a false one may be anywhere in the image
     area_px2 = float(lens.camera.width * lens.camera.height)
     anywhere = false_density(np.full(usable.pixels.shape, np.inf), area_px2=area_px2)
-    sightings = replace(with_noise(usable, points, start), false_density=anywhere)
+    sightings = replace(assign_noise(usable, points, start), false_density=anywhere)
     # the same sightings for both handednesses, or their evidences could not be compared
     close = max((_agreeing(one.camera.at_every_angle(), sightings.thinned(MOST)) for one in both), key=np.sum)
     if np.sum(close) < FEWEST_SIGHTINGS:
@@ -158,9 +158,9 @@ def first_pose(
         found, other = (_most_probable(one, sightings, close, math.radians(known.tilt_deg)) for one in both)
     except np.linalg.LinAlgError:  # no pose is near the sightings: the equations mean nothing
         return refused(job, (Finding("no_camera_fits"),))
-    fitted = outcome_of(found.fit, start, usable, wander_rad=0.0)
+    fitted = make_outcome(found.fit, start, usable, wander_rad=0.0)
     result = calibration_from_fit(fitted, job)
-    return _judged(with_options(result, lens_prior=lens.as_evidence()), found, other, lens, known)
+    return _judged(state_options(result, lens_prior=lens.as_evidence()), found, other, lens, known)
 
 
 def _agreeing(camera: Camera, thin: Sightings) -> BoolArray:
@@ -173,11 +173,11 @@ def _agreeing(camera: Camera, thin: Sightings) -> BoolArray:
 
 def _most_probable(start: Calibration, sightings: Sightings, close: BoolArray, tilt_rad: float) -> _FoundPose:
     """Return the most probable pose at any azimuth of a camera that is level within a 1-sigma per axis."""
-    error_model, camera = error_model_of(start), start.camera.at_every_angle()
+    error_model, camera = build_error_model(start), start.camera.at_every_angle()
     some = np.flatnonzero(close)
     coarse = sightings.thinned(MOST).select(some[np.unique(np.linspace(0, some.size - 1, _COARSE).astype(int))])
     spread = np.array([tilt_rad, tilt_rad, _CELL_RAD])
-    cell = error_model.with_free_rotation(np.zeros(3), sigma_rad=spread)
+    cell = error_model.add_free_rotation(np.zeros(3), sigma_rad=spread)
     bases = [level(camera, azimuth) for azimuth in np.arange(_AZIMUTHS) * (2.0 * math.pi / _AZIMUTHS)]
     order = np.argsort([-_rough_evidence(cell, base, coarse) for base in bases])
     tried = sorted((_refined(cell, bases[k], coarse) for k in order[:_REFINED]), key=lambda one: -one[0])
@@ -187,7 +187,7 @@ def _most_probable(start: Calibration, sightings: Sightings, close: BoolArray, t
     # about the best pose: the prior is level at its own azimuth, which is as good as unknown
     base = replace(camera, rotation_cam_enu=pose)
     spread[2] = _AZIMUTH_RAD
-    prior = error_model.with_free_rotation(levelling(base), sigma_rad=spread)
+    prior = error_model.add_free_rotation(levelling(base), sigma_rad=spread)
     fit = conditioned_pose([prior], np.zeros(1), base, sightings, close, inflation=1.0)
     return _FoundPose(fit, base, prior, evidence, evidence - max(rivals, default=-math.inf))
 
@@ -224,8 +224,8 @@ def _judged(
         return contradicted(result, departure)
     if against:
         return refused_for(result, *against)
-    described = with_finding(result, Finding("first_pose", {"n": result.evidence.n_used, **north}))
-    return with_finding(described, lens_finding("lens_prior_used", lens))
+    described = add_finding(result, Finding("first_pose", {"n": result.evidence.n_used, **north}))
+    return add_finding(described, lens_finding("lens_prior_used", lens))
 
 
 def _against(found: _FoundPose, other: _FoundPose, known: FirstPoseOptions, north: dict[str, float]) -> list[Finding]:

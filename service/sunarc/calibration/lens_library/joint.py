@@ -17,7 +17,7 @@ import numpy as np
 
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.lens_library import lens_type
-from sunarc.calibration.lens_library.conditioning import with_lens
+from sunarc.calibration.lens_library.conditioning import apply_lens_prior
 from sunarc.calibration.model.options import CalibrationOptions, LensTolerances
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
@@ -51,7 +51,7 @@ class Unit(NamedTuple):
     calibration: Calibration
 
 
-def lens_type_of(units: Sequence[Unit], *, spread: lens_type.UnitSpread | None = None) -> lens_type.LensType:
+def estimate_lens_type(units: Sequence[Unit], *, spread: lens_type.UnitSpread | None = None) -> lens_type.LensType:
     """Return the type of lens of calibrations of several cameras.
 
     Parameters
@@ -68,9 +68,11 @@ def lens_type_of(units: Sequence[Unit], *, spread: lens_type.UnitSpread | None =
     stated = lens_type.UnitSpread() if spread is None else spread
     require_one_type(units)
     first = units[0].calibration.camera
-    frame = lens_type.frame_of(first)
+    frame = lens_type.lens_frame(first)
     fits = [one.calibration for one in units]
-    known = [lens_type.information_of(lens_type.gaussian_of(fit, frame), fit.evidence.radial_px) for fit in fits]
+    known = [
+        lens_type.sighting_information(lens_type.lens_gaussian(fit, frame), fit.evidence.radial_px) for fit in fits
+    ]
     focal = float(np.mean(first.focal_length_px))
     spreads = estimated_spread(known, stated, focal_px=focal) if len(units) >= ENOUGH_UNITS else stated
     unit = further_unit(known, spreads.scales(focal), radial_px=_radial_px(units))
@@ -134,12 +136,12 @@ def further_unit(known: Sequence[lens_type.Information], scales: FloatArray, *, 
     scales : (17,) 1-sigma between units.
     radial_px : scale of the residual radial distortion of the type's mean, of which nothing else is known.
     """
-    precision, vector, _ = _of_mean(known, scales[None], lens_type.usual_precision(radial_px))
+    precision, vector, _ = _mean_precision(known, scales[None], lens_type.usual_precision(radial_px))
     covariance = np.linalg.inv(0.5 * (precision[0] + precision[0].T))
     return lens_type.Gaussian(covariance @ vector[0], np.asarray(covariance + np.diag(scales**2)))
 
 
-def _of_mean(
+def _mean_precision(
     known: Sequence[lens_type.Information], scales: FloatArray, usual: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the precision of the type's mean, its product with the mean, and the log evidence given a mean of 0.
@@ -186,7 +188,7 @@ def estimated_spread(
 
 def log_evidences(known: Sequence[lens_type.Information], spreads: FloatArray, usual: FloatArray) -> FloatArray:
     """Return (k,): the log evidence of spreads (k, 4), but for a constant."""
-    precision, vector, value = _of_mean(
+    precision, vector, value = _mean_precision(
         known, np.stack([lens_type.spread_scales(*one) for one in spreads.tolist()]), usual
     )
     mean = np.linalg.solve(precision, vector[..., None])[..., 0]
@@ -240,11 +242,11 @@ def calibrate_jointly(entries: Sequence[Entry], *, spread: lens_type.UnitSpread 
     _require_shared(entries)
     names = list(dict.fromkeys(entry.camera for entry in entries))
     together = {name: [entry for entry in entries if entry.camera == name] for name in names}
-    alone = {id(entry): _of_epoch(together[entry.camera], entry) for entry in entries}
-    options = _of_surest(list(alone.values()), entries[0].options)
+    alone = {id(entry): _calibrate_epoch(together[entry.camera], entry) for entry in entries}
+    options = _take_surest_projection(list(alone.values()), entries[0].options)
     for entry in entries:  # of one type of lens
         if alone[id(entry)].camera.projection != options.assumed_projection:
-            alone[id(entry)] = _of_epoch(together[entry.camera], entry, options)
+            alone[id(entry)] = _calibrate_epoch(together[entry.camera], entry, options)
     # all epochs of a camera have one lens: any of its calibrations states it
     units = {name: Unit(name, alone[id(together[name][-1])]) for name in names}
     accepted = [unit for unit in units.values() if unit.calibration.verdict.accepted]
@@ -256,12 +258,12 @@ def calibrate_jointly(entries: Sequence[Entry], *, spread: lens_type.UnitSpread 
         others = [unit for unit in accepted if unit.camera != entry.camera]
         one = alone[id(entry)]
         if others and one.evidence.n_used:
-            lens = lens_type_of(others, spread=spread)
-            one = with_lens(one, lens, points=_stacked(together[entry.camera], entry), options=entry.options)
+            lens = estimate_lens_type(others, spread=spread)
+            one = apply_lens_prior(one, lens, points=_stacked(together[entry.camera], entry), options=entry.options)
         found.append(one)
     agreeing = {e.camera for e, one in zip(entries, found, strict=True) if one.verdict.accepted}
     kept = [unit for unit in accepted if unit.camera in agreeing]
-    return Joint(tuple(found), lens_type_of(kept, spread=spread) if kept else None)
+    return Joint(tuple(found), estimate_lens_type(kept, spread=spread) if kept else None)
 
 
 def _require_shared(entries: Sequence[Entry]) -> None:
@@ -284,14 +286,14 @@ def _require_shared(entries: Sequence[Entry]) -> None:
             )
 
 
-def _of_surest(fits: Sequence[Calibration], options: CalibrationOptions) -> CalibrationOptions:
+def _take_surest_projection(fits: Sequence[Calibration], options: CalibrationOptions) -> CalibrationOptions:
     """Return options with the projection of the accepted fit of smallest uncertainty, where they state none."""
     accepted = [one for one in fits if one.verdict.accepted] or fits
     surest = min(accepted, key=lambda one: one.sky_rms_deg)
     return replace(options, projection=surest.camera.projection) if options.projection == "auto" else options
 
 
-def _of_epoch(entries: Sequence[Entry], latest: Entry, options: CalibrationOptions | None = None) -> Calibration:
+def _calibrate_epoch(entries: Sequence[Entry], latest: Entry, options: CalibrationOptions | None = None) -> Calibration:
     """Return the calibration of one epoch of a camera, by the sightings of all; options are its own unless given."""
     points = _stacked(entries, latest)
     return calibrate(points, site=latest.site, image_size=latest.image_size, options=options or latest.options)

@@ -51,7 +51,7 @@ class Information(NamedTuple):
     vector: FloatArray
 
 
-def frame_of(camera: Camera) -> priors.LensPrior:
+def lens_frame(camera: Camera) -> priors.LensPrior:
     """Return the frame about a lens, by its projection and focal length; all are px or usual tolerances."""
     tolerances = LensTolerances(circle_center_px=1.0, circle_focal_length_px=1.0)
     # a circle of 1 px makes both absolute; its place and radius do not count
@@ -59,7 +59,7 @@ def frame_of(camera: Camera) -> priors.LensPrior:
     return priors.lens_prior(camera, tolerances=tolerances, circle=circle, field_angle=_RIGHT_ANGLE)
 
 
-def gaussian_of(calibration: Calibration, frame: priors.LensPrior) -> Gaussian:
+def lens_gaussian(calibration: Calibration, frame: priors.LensPrior) -> Gaussian:
     """Return a calibration's lens in a frame."""
     indices = [calibration.parameter_names.index(name) for name in LENS_NAMES]
     return _in_frame(calibration.camera, calibration.covariance[np.ix_(indices, indices)], frame)
@@ -81,7 +81,7 @@ def usual_precision(radial_px: float) -> FloatArray:
     return result
 
 
-def prior_precision_of(posterior: Gaussian, radial_px: float) -> FloatArray:
+def infer_prior_precision(posterior: Gaussian, radial_px: float) -> FloatArray:
     """Return (17,): the precisions of the prior that a fit had, as its posterior allows them.
 
     The scales of radial distortion and decentering are averaged over in a fit, and not all of that is in its document:
@@ -99,7 +99,7 @@ def prior_precision_of(posterior: Gaussian, radial_px: float) -> FloatArray:
     return result
 
 
-def information_of(posterior: Gaussian, radial_px: float) -> Information:
+def sighting_information(posterior: Gaussian, radial_px: float) -> Information:
     """Return the information of the sightings of a fit: its posterior without its prior about the ideal lens.
 
     Directions in which a posterior is no narrower than the prior have no information.
@@ -109,7 +109,7 @@ def information_of(posterior: Gaussian, radial_px: float) -> Information:
     posterior : the lens of the fit.
     radial_px : the scale of its residual radial distortion, as found; NaN takes the usual one.
     """
-    precision = prior_precision_of(posterior, radial_px)
+    precision = infer_prior_precision(posterior, radial_px)
     factor = np.linalg.cholesky(posterior.covariance)
     # in the posterior's own units the sightings' share of what is known lies between 0 and 1
     share, vectors = np.linalg.eigh(np.eye(priors.N_LENS) - (factor.T * precision) @ factor)
@@ -153,7 +153,7 @@ class UnitSpread:
         require_bounds(self, section_path="spread")
 
     def scales(self, focal_px: float) -> FloatArray:
-        """Return (17,): 1-sigma of a unit's coordinates in a frame (`frame_of`)."""
+        """Return (17,): 1-sigma of a unit's coordinates in a frame (`lens_frame`)."""
         return spread_scales(self.focal_length * focal_px, self.center_px, self.radial_px, self.decentering_px)
 
 
@@ -182,7 +182,7 @@ class LensType:
     @property
     def frame(self) -> priors.LensPrior:
         """The coordinates of its lenses."""
-        return frame_of(self.camera)
+        return lens_frame(self.camera)
 
     def in_frame(self) -> Gaussian:
         """Return a unit that was not measured, in the type's own frame."""
@@ -197,4 +197,4 @@ def type_camera(frame: priors.LensPrior, mean: FloatArray, like: Camera, *, max_
     """Return the level camera of a lens in a frame, of the projection and the image of another one."""
     vector = np.zeros(len(Param))
     vector[priors.LENS] = frame.lens(mean)
-    return replace(like.lens_alone(), max_angle=max_angle).with_parameters(vector)
+    return replace(like.lens_alone(), max_angle=max_angle).replace_parameters(vector)

@@ -51,14 +51,14 @@ def probability(log_odds: float) -> float:
     return 1.0 / (1.0 + math.exp(min(_SUSPICION - log_odds, _CERTAINLY_NOT)))
 
 
-def proof_of(error: str) -> float:
+def proof_threshold(error: str) -> float:
     """Return the log odds beyond which an error that sightings share is proven, see `fit.effects`."""
     return _PROOF_OF.get(error, _PROOF)
 
 
 def proves(error: str, log_odds: float) -> bool:
     """Return whether log odds prove an error that sightings share."""
-    return log_odds > proof_of(error)
+    return log_odds > proof_threshold(error)
 
 
 # How well a fit meets the sightings (Eq. 27), and both readings of SD.
@@ -353,7 +353,7 @@ def residuals_by_pose(camera: Camera, poses: Sequence[tuple[float, float, float]
     return usable.pixels - predicted
 
 
-def with_finding(calibration: Calibration, finding: Finding) -> Calibration:
+def add_finding(calibration: Calibration, finding: Finding) -> Calibration:
     """Return a calibration whose verdict names one thing more."""
     verdict = calibration.verdict
     return replace(calibration, verdict=replace(verdict, findings=(*verdict.findings, finding)))
@@ -365,7 +365,7 @@ def refused_for(calibration: Calibration, *findings: Finding) -> Calibration:
     return replace(calibration, verdict=Verdict(accepted=False, findings=(*findings, *others)))
 
 
-def with_options(calibration: Calibration, **more: object) -> Calibration:
+def state_options(calibration: Calibration, **more: object) -> Calibration:
     """Return a calibration whose evidence states further options."""
     evidence = calibration.evidence
     return replace(calibration, evidence=replace(evidence, options={**evidence.options, **more}))

@@ -35,7 +35,7 @@ class Kind(IntEnum):
     MOON = 2
 
 
-def kinds_of(bodies: NameArray) -> IntArray:
+def body_kinds(bodies: NameArray) -> IntArray:
     """Return the kinds (n,) of bodies by their names (n,); planets are points of light as stars are."""
     kinds = np.full(bodies.shape, Kind.SUN, dtype=np.int64)
     rows = np.flatnonzero(bodies != SUN)  # few of millions
@@ -254,7 +254,7 @@ class Sightings:
             )
         columns |= {name: columns[name].astype(np.int64) for name in ("epoch", "kind") if name in columns}
         if body is not None:
-            columns |= {"body": body, "kind": kinds_of(body)}
+            columns |= {"body": body, "kind": body_kinds(body)}
         return cls(unix_s=times, pixels=places, **columns)
 
     def __len__(self) -> int:
@@ -405,11 +405,11 @@ def filter_sightings(points: Sightings, *, site: Site, image_size: tuple[int, in
         day=day,
         motion=np.cross(directions, EARTH_RATE * pole_enu(site)),
         filtering=filtering.after(points.filtering),
-        **_of_the_air(usable, directions, day, site),
+        **_air_columns(usable, directions, day, site),
     )
 
 
-def _of_the_air(points: Sightings, directions: FloatArray, day: IntArray, site: Site) -> dict[str, Any]:
+def _air_columns(points: Sightings, directions: FloatArray, day: IntArray, site: Site) -> dict[str, Any]:
     """Return the columns `night` and `refraction_sd` of sightings at directions (n, 3), of days (n,)."""
     n, other, measured = len(points), points.kind != Kind.SUN, np.isfinite(points.temperature)
     night = np.zeros(n, dtype=np.bool_)

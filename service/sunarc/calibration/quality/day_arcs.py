@@ -16,7 +16,7 @@ from sunarc.common.array_types import BoolArray, FloatArray, IntArray
 from sunarc.common.findings import Data
 from sunarc.common.robust_statistics import cauchy_weights, robust_sigma, tukey_weights
 from sunarc.common.utc import DAY_S
-from sunarc.sky.days import date_of_day
+from sunarc.sky.days import day_to_date
 from sunarc.sky.directions import angular_distance
 
 _ORDER = 9
@@ -187,7 +187,7 @@ def unexplained_days(calibration: Calibration, usable: Sightings) -> Unexplained
         "far": _FAR,
         "off_px": worst.off_px,
         "sigmas": worst.sigmas,
-        "day": date_of_day(worst.day).isoformat(),
+        "day": day_to_date(worst.day).isoformat(),
     }
     return Unexplained({"share": share, "n": n}, far_off)
 
@@ -197,15 +197,15 @@ def _judged_together(usable: Sightings, rows: IntArray, fewest: int) -> Iterator
 
     The last days of few of an epoch are joined by the rows before them.
     """
-    for of_epoch in np.split(rows, np.flatnonzero(np.diff(usable.epoch[rows])) + 1):
+    for for_epoch in np.split(rows, np.flatnonzero(np.diff(usable.epoch[rows])) + 1):
         together = rows[:0]
-        for of_day in np.split(of_epoch, np.flatnonzero(np.diff(usable.day[of_epoch])) + 1):
+        for of_day in np.split(for_epoch, np.flatnonzero(np.diff(usable.day[for_epoch])) + 1):
             together = np.concatenate([together, of_day]) if of_day.size < fewest else of_day
             if together.size >= fewest:
                 yield together
                 together = rows[:0]
-        if together.size and of_epoch.size >= _FEWEST_FOR_SHARE:
-            yield of_epoch[-max(fewest, together.size) :]
+        if together.size and for_epoch.size >= _FEWEST_FOR_SHARE:
+            yield for_epoch[-max(fewest, together.size) :]
 
 
 def _runs_smoothly(

@@ -38,7 +38,7 @@ class _Days(NamedTuple):
         size = self.pulls.shape[1]
         return np.asarray(np.linalg.solve(self.products + np.eye(size) / spread**2, self.pulls[..., None])[..., 0])
 
-    def over(self, variance: float) -> _Days:
+    def divide_by(self, variance: float) -> _Days:
         """Return the sums divided by the variance of the residuals."""
         return _Days(self.products / variance, self.pulls / variance)
 
@@ -80,7 +80,7 @@ def unsteady_clock(judged: JudgedFit) -> Data | None:
     rho = min(max(rho, 0.0), _LARGEST_CORRELATION)
     alike = (1.0 + rho) / (1.0 - rho)  # by how much more a mean varies as neighbours err alike
     variance = max(float(np.sum(weight[:, None] * left**2)) / free * alike, _LEAST_SIGMA_PX**2)
-    scaled = {name: one.over(variance) for name, one in of_days.items()}
+    scaled = {name: one.divide_by(variance) for name, one in of_days.items()}
     evidence = {name: one.best() for name, one in scaled.items()}
     log_odds, spread = evidence["clock"]
     rival = max(value for name, (value, _) in evidence.items() if name != "clock")

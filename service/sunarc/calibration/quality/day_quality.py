@@ -16,7 +16,7 @@ from sunarc.calibration.quality.day_arcs import arc_length_deg, smooth_arc
 from sunarc.calibration.selection import solid_angle_sr
 from sunarc.common.array_types import FloatArray
 from sunarc.common.findings import Finding
-from sunarc.sky.days import date_of_day, day_bounds_unix_s, day_of_date, solar_date
+from sunarc.sky.days import date_to_day, day_bounds_unix_s, day_to_date, solar_date
 from sunarc.sky.site import Site
 from sunarc.sky.sun import hour_angle, sun_angles
 
@@ -59,7 +59,7 @@ class DaySampling:
         return (share + 0.5 * square - spread) / (1.0 + square)
 
 
-def sampling_of(observed_unix_s: FloatArray, *, cadence_s: float, n_possible: int) -> DaySampling:
+def measure_sampling(observed_unix_s: FloatArray, *, cadence_s: float, n_possible: int) -> DaySampling:
     """Return the sampling of a day from the times of its sun exposures.
 
     Parameters
@@ -170,7 +170,7 @@ def measure_day(
         sampling = fully_observed(possible)
     else:  # those of every sun exposure, and of every sighting
         observed = np.concatenate([observed_unix_s, points.unix_s])
-        sampling = sampling_of(observed, cadence_s=cadence_s, n_possible=possible)
+        sampling = measure_sampling(observed, cadence_s=cadence_s, n_possible=possible)
     n, n_observed = len(usable), sampling.n_observed
     if n < 2:
         return DayMeasure(n=n, n_possible=possible, n_observed=n_observed, doubtful_clock=doubtful_clock or 0.0)
@@ -182,7 +182,7 @@ def measure_day(
     times = usable.unix_s[on_arc]
     n_cycles = int(np.unique(np.floor(times / cadence_s)).size)
     return DayMeasure(
-        date=date_of_day(int(usable.day[0])).isoformat(),
+        date=day_to_date(int(usable.day[0])).isoformat(),
         n=n,
         n_on_arc=int(on_arc.sum()),
         n_cycles=n_cycles,
@@ -246,7 +246,7 @@ def days_left_out(verdicts: Mapping[date, DayKind]) -> tuple[int, ...]:
     """
     shown = any(kind in _SHOW_THE_SUN for kind in verdicts.values())
     kinds = _SHOW_THE_SUN if shown else _SHOW_THE_SUN | {"cloudy"}
-    return tuple(sorted(day_of_date(day) for day, kind in verdicts.items() if kind not in kinds))
+    return tuple(sorted(date_to_day(day) for day, kind in verdicts.items() if kind not in kinds))
 
 
 def _possible(points: Sightings, site: Site, cadence_s: float) -> int:

@@ -21,7 +21,7 @@ from sunarc.common.findings import Data, Finding
 from sunarc.optics.camera import PARAMETER_NAMES, POSE
 from sunarc.optics.inverse import unproject
 from sunarc.optics.pose import right_jacobian, rotation_matrix
-from sunarc.sky.days import date_of_day, day_bounds_unix_s
+from sunarc.sky.days import day_bounds_unix_s, day_to_date
 from sunarc.sky.directions import angular_distance
 from sunarc.sky.sun import sun_angles
 
@@ -196,7 +196,7 @@ def largest_excess(judged: JudgedFit) -> float:
     return _MOST_EXCESS if np.all(judged.usable.kind == Kind.SUN) else _MOST_EXCESS_BESIDE_STARS
 
 
-def turn_of_a_part(judged: JudgedFit) -> Data | None:
+def measure_part_turn(judged: JudgedFit) -> Data | None:
     """Return by how much the camera of one part is turned, where parts contradict the fit."""
     found = judged.calibration.evidence.held_out
     if not found or found["excess"] <= largest_excess(judged):
@@ -204,7 +204,7 @@ def turn_of_a_part(judged: JudgedFit) -> Data | None:
     return {"turn_deg": found["turn_deg"], "chi_square": found["turned"]}
 
 
-def left_out_of_days(judged: JudgedFit) -> Data | None:
+def measure_left_out_share(judged: JudgedFit) -> Data | None:
     """Return the share of the sightings of clear days that does not count."""
     return judged.unexplained and judged.unexplained.left_out
 
@@ -270,7 +270,7 @@ def hours_missing(judged: JudgedFit) -> Data | None:
         return None
     usable, site = judged.usable, judged.calibration.site
     days, counts = np.unique(usable.day, return_counts=True)
-    day = date_of_day(int(days[np.argmax(counts)]))
+    day = day_to_date(int(days[np.argmax(counts)]))
     first, last = day_bounds_unix_s(day, longitude=site.longitude)
     hours = np.arange(math.ceil(first / _HOUR_S), math.ceil(last / _HOUR_S))
     up = hours[sun_angles((hours + 0.5) * _HOUR_S, site).apparent_zenith < _LOW_SUN_DEG]
@@ -404,7 +404,7 @@ def rmse(judged: JudgedFit) -> Data:
     return {"n": metrics.n, "days": len(judged.calibration.evidence.days), "rmse_px": metrics.rmse_px}
 
 
-def factor_of_parts(judged: JudgedFit) -> Data:
+def measure_part_factor(judged: JudgedFit) -> Data:
     """Return by how much parts of the sightings make the stated errors larger."""
     return {"factor": judged.calibration.evidence.held_out.get("widening", 1.0)}
 
@@ -430,7 +430,7 @@ def aspect(judged: JudgedFit) -> Data:
     return {"log_odds": judged.log_odds("pixels"), "aspect": fx / fy}
 
 
-def drift_of_clock(judged: JudgedFit) -> Data:
+def measure_clock_drift(judged: JudgedFit) -> Data:
     """Return the log odds of a clock that is another one on each day."""
     return {"log_odds": judged.log_odds("daily_clock")}
 
@@ -440,7 +440,7 @@ def bias_outwards(judged: JudgedFit) -> Data:
     return {"log_odds": judged.log_odds("outwards")}
 
 
-def change_of_focal_length(judged: JudgedFit) -> Data | None:
+def measure_focal_change(judged: JudgedFit) -> Data | None:
     """Return the share of itself by which the focal length changes within the record, where that is proven."""
     log_odds = judged.calibration.evidence.log_odds
     if "season_share" not in log_odds:
@@ -455,7 +455,7 @@ def picture(judged: JudgedFit) -> Data | None:
     if "picture_scale" not in log_odds:
         return None
     of_change = {name: log_odds[f"picture_{name}"] for name in ("scale", "shift_px")}
-    since = date_of_day(int(log_odds["picture_day"])).isoformat()
+    since = day_to_date(int(log_odds["picture_day"])).isoformat()
     return {"log_odds": log_odds["picture"], **of_change, "since": since}
 
 

@@ -140,30 +140,34 @@ def _explanations(level: Place, stated: Place) -> Iterator[_Explanation]:
     """
     latitude, longitude = stated
     if abs(longitude) <= 90.0:
-        yield _of_place("camera_tilted_by_exchange", _EXCHANGED, Place(longitude, latitude), level)
-    yield _of_place("camera_tilted_by_latitude", _WRONG_SIGN, Place(-latitude, longitude), level)
-    yield _of_place("camera_tilted_by_longitude", _WRONG_SIGN, Place(latitude, -longitude), level)
-    yield _of_place("camera_tilted", _WRONG_SIGN, Place(-latitude, -longitude), level)
+        yield _explain_by_place("camera_tilted_by_exchange", _EXCHANGED, Place(longitude, latitude), level)
+    yield _explain_by_place("camera_tilted_by_latitude", _WRONG_SIGN, Place(-latitude, longitude), level)
+    yield _explain_by_place("camera_tilted_by_longitude", _WRONG_SIGN, Place(latitude, -longitude), level)
+    yield _explain_by_place("camera_tilted", _WRONG_SIGN, Place(-latitude, -longitude), level)
     shares = {hours: 1.0 / abs(hours) for hours in range(-_LARGEST_ZONE_H, _LARGEST_ZONE_H + 1) if hours}
     for hours, share in shares.items():
         place = Place(latitude, float(wrapped_deg(longitude - _DEG_PER_H * hours)))
-        yield _of_place("camera_tilted_by_clock", _WRONG_ZONE * share / sum(shares.values()), place, level)
+        yield _explain_by_place("camera_tilted_by_clock", _WRONG_ZONE * share / sum(shares.values()), place, level)
     turn = abs(float(wrapped_deg(level.longitude - longitude)))
     by_clock = _WRONG_CLOCK * math.exp(-turn / _CLOCK_DEG) / (2.0 * _CLOCK_DEG)
-    yield _of_line("camera_tilted_by_clock", by_clock, Place(latitude, level.longitude), level)
-    yield _of_line("camera_tilted_by_longitude", _WRONG_COORDINATE / 360.0, Place(latitude, level.longitude), level)
-    yield _of_line("camera_tilted_by_latitude", _WRONG_COORDINATE / 180.0, Place(level.latitude, longitude), level)
+    yield _explain_along_line("camera_tilted_by_clock", by_clock, Place(latitude, level.longitude), level)
+    yield _explain_along_line(
+        "camera_tilted_by_longitude", _WRONG_COORDINATE / 360.0, Place(latitude, level.longitude), level
+    )
+    yield _explain_along_line(
+        "camera_tilted_by_latitude", _WRONG_COORDINATE / 180.0, Place(level.latitude, longitude), level
+    )
     yield _Explanation("camera_tilted", _WRONG_COORDINATE / (4.0 * math.pi), level)
 
 
-def _of_place(code: str, share: float, place: Place, level: Place) -> _Explanation:
+def _explain_by_place(code: str, share: float, place: Place, level: Place) -> _Explanation:
     """Return a mistake of which one place is true."""
     off, sigma = distance_deg(place, level), math.radians(_LEVELLED_DEG)
     density = share * math.exp(-0.5 * (off / _LEVELLED_DEG) ** 2) / (2.0 * math.pi * sigma**2)
     return _Explanation(code, density if off <= LEVEL_DEG else 0.0, place)
 
 
-def _of_line(code: str, per_deg: float, place: Place, level: Place) -> _Explanation:
+def _explain_along_line(code: str, per_deg: float, place: Place, level: Place) -> _Explanation:
     """Return a mistake of any size, whose share per degree is stated, with the place nearest to the level one."""
     off, sigma = distance_deg(place, level), math.radians(_LEVELLED_DEG)
     density = math.degrees(per_deg) * math.exp(-0.5 * (off / _LEVELLED_DEG) ** 2) / (math.sqrt(2.0 * math.pi) * sigma)

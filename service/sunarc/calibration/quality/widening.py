@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sunarc.calibration.answers.covariance import pose_error, rotation_covariance, sky_sigma_deg, with_covariance
+from sunarc.calibration.answers.covariance import pose_error, replace_covariance, rotation_covariance, sky_sigma_deg
 from sunarc.calibration.model.result import Calibration
 from sunarc.common.array_types import FloatArray
 from sunarc.common.findings import Data
@@ -18,7 +18,7 @@ from sunarc.optics.camera import POSE
 from sunarc.sky.site import EARTH_RATE
 
 
-def with_pose_spread(calibration: Calibration, spread_deg: Sequence[float]) -> Calibration:
+def add_pose_spread(calibration: Calibration, spread_deg: Sequence[float]) -> Calibration:
     """Return a calibration whose uncertainty allows for a daily spread of the pose, which its provenance states.
 
     Parameters
@@ -32,10 +32,10 @@ def with_pose_spread(calibration: Calibration, spread_deg: Sequence[float]) -> C
         return calibration
     east, north, up = larger.tolist()
     evidence = replace(calibration.evidence, pose_spread_deg=(east, north, up))
-    return replace(_widened(calibration, 1.0, np.sqrt(larger**2 - before**2)), evidence=evidence)
+    return replace(_widen(calibration, 1.0, np.sqrt(larger**2 - before**2)), evidence=evidence)
 
 
-def with_larger_errors(calibration: Calibration, factor: float) -> Calibration:
+def scale_errors(calibration: Calibration, factor: float) -> Calibration:
     """Return a calibration whose stated errors are larger by a factor, which its provenance states."""
     held_out = {
         **calibration.evidence.held_out,
@@ -54,12 +54,12 @@ def with_larger_errors(calibration: Calibration, factor: float) -> Calibration:
 def fit_direction_sigma_rms_deg(calibration: Calibration) -> float:
     """Return the stated 1-sigma over the sky without the allowance for the spread of daily poses, degrees."""
     spread = calibration.evidence.pose_spread_deg
-    return calibration.sky_rms_deg if spread is None else _widened(calibration, -1.0, spread).sky_rms_deg
+    return calibration.sky_rms_deg if spread is None else _widen(calibration, -1.0, spread).sky_rms_deg
 
 
-def _widened(calibration: Calibration, sign: float, spread_deg: ArrayLike) -> Calibration:
+def _widen(calibration: Calibration, sign: float, spread_deg: ArrayLike) -> Calibration:
     enu_covariance = np.diag(np.radians(np.asarray(spread_deg, dtype=np.float64)) ** 2)
-    return with_pose_errors(calibration, sign * rotation_covariance(calibration.camera, enu_covariance))
+    return add_pose_errors(calibration, sign * rotation_covariance(calibration.camera, enu_covariance))
 
 
 class UnboundedClock(NamedTuple):
@@ -88,7 +88,7 @@ def assumed_clock(clock: UnboundedClock) -> Data | None:
     }
 
 
-def with_clock_error(calibration: Calibration, clock_error_s: float) -> Calibration:
+def add_clock_error(calibration: Calibration, clock_error_s: float) -> Calibration:
     """Return a calibration whose uncertainty holds a bound of the clock, s, for all of its sightings."""
     evidence = calibration.evidence
     known_s = evidence.clock_error_s if evidence.clock_stated else 0.0
@@ -96,14 +96,14 @@ def with_clock_error(calibration: Calibration, clock_error_s: float) -> Calibrat
     more = pose_error(calibration.camera, calibration.site, clock_error_s=beyond_s, site_error_m=0.0)
     stated = replace(evidence, clock_error_s=max(clock_error_s, known_s), clock_stated=True, clock_beyond_s=beyond_s)
     return replace(
-        with_pose_errors(calibration, more), evidence=stated, sky_rms_without_clock_deg=calibration.sky_rms_deg
+        add_pose_errors(calibration, more), evidence=stated, sky_rms_without_clock_deg=calibration.sky_rms_deg
     )
 
 
-def with_pose_errors(calibration: Calibration, more: FloatArray) -> Calibration:
+def add_pose_errors(calibration: Calibration, more: FloatArray) -> Calibration:
     """Return a calibration whose pose has more covariance (3, 3), with its 1-sigma over the sky."""
     covariance = calibration.covariance.copy()
     covariance[POSE, POSE] += more
-    widened = with_covariance(calibration, covariance)
+    widened = replace_covariance(calibration, covariance)
     rms, most = sky_sigma_deg(widened)
     return replace(widened, sky_rms_deg=rms, sky_max_deg=most)

@@ -47,7 +47,7 @@ def most_probable(
     moving = np.arange(problem.size) if free is None else np.flatnonzero(free)
     lens, seen = problem.prior, np.ascontiguousarray
     found = _kernels.most_probable(
-        *problem.optics(),
+        *problem.kernel_numbers(),
         seen(lens.mean),
         seen(lens.basis),
         seen(observed.directions),

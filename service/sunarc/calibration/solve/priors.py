@@ -101,7 +101,7 @@ WIDE_ASPECT, WIDE_SKEW = 0.02, 0.003
 who scaled them, or by a sensor's clock."""
 
 
-def with_wide_pixels(prior: LensPrior) -> LensPrior:
+def free_pixel_aspect(prior: LensPrior) -> LensPrior:
     """Return the prior of a lens behind pixels that need not be square."""
     basis, focal = prior.basis.copy(), float(np.mean(prior.mean[FOCAL_LENGTH]))
     basis[FOCAL_LENGTH, Whitened.ASPECT] = 0.5 * WIDE_ASPECT * focal, -0.5 * WIDE_ASPECT * focal

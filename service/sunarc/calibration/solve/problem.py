@@ -47,7 +47,7 @@ class Sighted(NamedTuple):
     systematic_px: FloatArray
 
 
-def residuals_and_columns_of(
+def residuals_and_jacobian(
     optics: Optics, vectors: FloatArray, seen: Sighted, sizes: FloatArray, basis: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the residuals (2, n) and the derivatives of the prediction by the unknowns (2, size, n).
@@ -58,12 +58,12 @@ def residuals_and_columns_of(
     sizes : (s,) of the systematic errors.
     basis : (17, 17) of the prior.
     """
-    return _kernels.residuals_and_columns_of(
+    return _kernels.residuals_and_jacobian(
         **optics._asdict(), vectors=vectors, basis=basis, **seen._asdict(), sizes=sizes
     )
 
 
-def vectors_of(mean: FloatArray, basis: FloatArray, unknowns: FloatArray, epochs: int) -> FloatArray:
+def camera_vectors(mean: FloatArray, basis: FloatArray, unknowns: FloatArray, epochs: int) -> FloatArray:
     """Return the cameras (epochs, 23) of some unknowns: lens = mean + basis · its part of them."""
     vectors = np.zeros((epochs, len(Param)))
     vectors[:, LENS] = mean + basis @ unknowns[:N_LENS]
@@ -127,7 +127,7 @@ class FitProblem:
 
     def camera(self, unknowns: FloatArray, epoch: int = 0) -> Camera:
         """Return the camera of an epoch."""
-        return self.template.with_parameters(self._vectors(unknowns)[epoch])
+        return self.template.replace_parameters(self._vectors(unknowns)[epoch])
 
     def unknowns(self, cameras: list[Camera]) -> FloatArray:
         """Return the unknowns of cameras that share a lens, one an epoch."""
@@ -140,8 +140,8 @@ class FitProblem:
         residual = np.empty(observed.pixels.shape)
         for epoch in range(self.n_epochs):
             in_epoch = slice(None) if self.n_epochs == 1 else observed.epoch == epoch
-            residual[in_epoch] = _kernels.residuals_of(
-                *self.optics(),
+            residual[in_epoch] = _kernels.compute_residuals(
+                *self.kernel_numbers(),
                 vectors[epoch],
                 np.ascontiguousarray(observed.directions[in_epoch]),
                 np.ascontiguousarray(observed.pixels[in_epoch]),
@@ -163,8 +163,8 @@ class FitProblem:
 
     def linearised(self, unknowns: FloatArray, observed: Sightings) -> tuple[FloatArray, FloatArray]:
         """Return the residuals (n, 2) and the derivatives of the prediction by the unknowns (n, 2, size)."""
-        residual, columns = residuals_and_columns_of(
-            self.optics(),
+        residual, columns = residuals_and_jacobian(
+            self.kernel_numbers(),
             self._vectors(unknowns),
             self.sighted(observed),
             np.ascontiguousarray(unknowns[N_LENS + 3 * self.n_epochs :], dtype=np.float64),
@@ -188,13 +188,13 @@ class FitProblem:
         of_blocks = [np.arange(block.columns.start, block.columns.stop) for block in self.blocks]
         return observed.systematic_px[:, :, np.concatenate([np.zeros(0, dtype=np.int64), *of_blocks])]
 
-    def optics(self) -> Optics:
+    def kernel_numbers(self) -> Optics:
         """Return the numbers of the template that the kernels take; its displacement does not count."""
         return kernel_optics(self.template)
 
     def _vectors(self, unknowns: FloatArray) -> FloatArray:
         at, prior = np.asarray(unknowns, dtype=np.float64), self.prior
-        return np.asarray(vectors_of(prior.mean, np.ascontiguousarray(prior.basis), at, self.n_epochs))
+        return np.asarray(camera_vectors(prior.mean, np.ascontiguousarray(prior.basis), at, self.n_epochs))
 
 
 def by_elevation(directions: FloatArray, by_directions: FloatArray) -> FloatArray:

@@ -280,7 +280,7 @@ def ransac_rotation(camera: Camera, directions: FloatArray, pixels: FloatArray, 
     thin = good[np.unique(np.linspace(0, good.size - 1, _MAX_SIGHTINGS).astype(int))]
     focal = 0.5 * (camera.focal_length_px[0] + camera.focal_length_px[1])
     turns = np.concatenate(
-        [np.zeros((1, 3)), smallest_rotation(world[thin], rays[thin]), _of_pairs(world[thin], rays[thin])]
+        [np.zeros((1, 3)), smallest_rotation(world[thin], rays[thin]), _rotations_from_pairs(world[thin], rays[thin])]
     )
     matrices = rotation_matrix(turns)
     separation = np.linalg.norm(np.einsum("kij,nj->kni", matrices, world[thin]) - rays[thin], axis=-1)
@@ -291,7 +291,7 @@ def ransac_rotation(camera: Camera, directions: FloatArray, pixels: FloatArray, 
     return np.asarray(turns[int(np.argmax(agreed - _SMALL_ROTATION * size / np.log(10.0)))])
 
 
-def _of_pairs(world: FloatArray, rays: FloatArray) -> FloatArray:
+def _rotations_from_pairs(world: FloatArray, rays: FloatArray) -> FloatArray:
     """Return (k, 3): the rotations that pairs of sightings name."""
     pairs = np.array(list(itertools.combinations(range(world.shape[0]), 2)), dtype=np.int64).reshape(-1, 2)
     if pairs.shape[0] > _PAIRS:

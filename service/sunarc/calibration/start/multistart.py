@@ -249,7 +249,9 @@ _STARTS = tuple(itertools.product((-1.5, 1.5), (-2.0, 0.0, 2.0)))
 _LET_GO = 2
 
 
-def best_of_starts(problem: FitProblem, observed: Sightings, start: FloatArray, *, precision: FloatArray) -> FloatArray:
+def solve_from_starts(
+    problem: FitProblem, observed: Sightings, start: FloatArray, *, precision: FloatArray
+) -> FloatArray:
     """Return the unknowns of the lowest local minimum that was found.
 
     Parameters

@@ -11,7 +11,7 @@ import numpy as np
 
 from sunarc.common.array_types import FloatArray, Image
 from sunarc.common.findings import Finding
-from sunarc.common.robust_statistics import median_of
+from sunarc.common.robust_statistics import fast_median
 from sunarc.detection.disc.fit import DiscFit, fit_disc, is_foreign
 from sunarc.detection.disc.model import Prior, sun_sources
 from sunarc.detection.disc.window import Window, cut, saturated_level
@@ -53,7 +53,7 @@ def _tile_maxima(image: Image) -> Image:
     return best
 
 
-def _top_of(image: Image, *, x0: int, y0: int) -> tuple[int, int]:
+def _brightest_pixel(image: Image, *, x0: int, y0: int) -> tuple[int, int]:
     """Return x, y of the first pixel of a tile's largest minimum over 2×2 pixels."""
     part = image[y0 : y0 + _TILE, x0 : x0 + _TILE + 1]
     pair = np.minimum(part[: part.shape[0] // 2 * 2 : 2], part[1::2])
@@ -80,7 +80,7 @@ def brightest_spots(image: Image, *, count: int, reach: int, floor: float) -> li
         if len(spots) >= count or levels[k] <= floor:
             break
         row, column = divmod(int(k), best.shape[1])
-        x, y = _top_of(image, x0=column * _TILE, y0=row * _TILE)
+        x, y = _brightest_pixel(image, x0=column * _TILE, y0=row * _TILE)
         if not _belongs(x, y, spots):
             spot = measure_spot(image, x=x, y=y, reach=reach)
             if not _belongs(spot.x, spot.y, spots):
@@ -109,7 +109,7 @@ def measure_spot(image: Image, *, x: int, y: int, reach: int) -> Spot:
 def moments(mean: FloatArray, *, x0: float, y0: float) -> Spot:
     """Return centre and size of a bright region by its moments."""
     level = float(mean.max())
-    background = median_of(np.concatenate([mean[0], mean[-1], mean[:, 0], mean[:, -1]]))
+    background = fast_median(np.concatenate([mean[0], mean[-1], mean[:, 0], mean[:, -1]]))
     x, y, xx, xy, yy = _moments_above(mean, 0.5 * (level + background))
     covariance = np.array([[xx, xy], [xy, yy]])
     return Spot(x + x0, y + y0, level, background, symmetric_root(4.0 * covariance + 1e-3 * np.eye(2)))
@@ -364,12 +364,12 @@ def _fitted(
     fit = _fit(window, _Start(at, shapes, radius_px), free=axes is None, sensor=sensor)
     if fit is None:
         return _none("hidden", Finding("disc_too_few_pixels"))
-    verdict = verdict_of(fit, expectation=expectation, sensor=sensor)
+    verdict = judge_fit(fit, expectation=expectation, sensor=sensor)
     if verdict[1] and expectation is None and not window.saturated_px:
         again = _Start((fit.x_px, fit.y_px), [(fit.width_px, fit.stretch)], radius_px)
         if is_flat(fit, _fit(window, again, free=True, sensor=sensor, limb_darkening=0.0)):
             verdict = ("hidden", False, Finding("disc_without_limb"))
-    return detection_of(fit, verdict, sensor=sensor, saturated_px=window.saturated_px)
+    return make_detection(fit, verdict, sensor=sensor, saturated_px=window.saturated_px)
 
 
 class _Start(NamedTuple):
@@ -465,9 +465,9 @@ _UNPREDICTED_LEVEL, _UNPREDICTED_RESIDUAL, _UNPREDICTED_SIGMA_PX = 0.08, 0.01, 0
 _SIGNIFICANT_CLASSIFY = 16.0  # chi² of four parameters
 
 
-def verdict_of(fit: DiscFit, *, expectation: Expectation | None, sensor: Sensor) -> tuple[Verdict, bool, Finding]:
+def judge_fit(fit: DiscFit, *, expectation: Expectation | None, sensor: Sensor) -> tuple[Verdict, bool, Finding]:
     """Return the verdict, whether the position can be accepted, and the deciding finding."""
-    for check in (_no_disc, _misplaced, _covered, _uncertain):
+    for check in (_no_disc, _judge_place, _judge_cover, _uncertain):
         found = check(fit, expectation, sensor)
         if found is not None:
             return found[0], False, found[1]
@@ -500,7 +500,7 @@ def _unusual_size(fit: DiscFit, sensor: Sensor) -> tuple[Verdict, Finding] | Non
     return None
 
 
-def _misplaced(fit: DiscFit, expectation: Expectation | None, sensor: Sensor) -> tuple[Verdict, Finding] | None:
+def _judge_place(fit: DiscFit, expectation: Expectation | None, sensor: Sensor) -> tuple[Verdict, Finding] | None:
     if expectation is None:
         return _unlikely(fit, sensor)
     distance = math.hypot(fit.x_px - expectation.x_px, fit.y_px - expectation.y_px)
@@ -524,7 +524,7 @@ def is_flat(fit: DiscFit, flat: DiscFit | None) -> bool:
     return flat is not None and flat.chi2 * flat.used_px < fit.chi2 * fit.used_px - _SIGNIFICANT_CLASSIFY
 
 
-def _covered(fit: DiscFit, expectation: Expectation | None, sensor: Sensor) -> tuple[Verdict, Finding] | None:
+def _judge_cover(fit: DiscFit, expectation: Expectation | None, sensor: Sensor) -> tuple[Verdict, Finding] | None:
     del expectation, sensor
     uneven_px = math.sqrt(max(fit.uneven, 0.0)) * fit.sigma_px
     if fit.uneven > _SIGNIFICANT_CLASSIFY and uneven_px > MAX_UNEVEN_PX:
@@ -562,7 +562,7 @@ def _veil(fit: DiscFit, expectation: Expectation | None, sensor: Sensor) -> Find
     return Finding("disc_in_bright_sky", {"share": contrast}) if contrast < VEILED_BELOW else None
 
 
-def detection_of(
+def make_detection(
     fit: DiscFit, verdict: tuple[Verdict, bool, Finding], *, sensor: Sensor, saturated_px: int
 ) -> Detection:
     """Return the detection of a classified fit."""

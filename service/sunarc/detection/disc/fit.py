@@ -84,7 +84,7 @@ def _best_band(
     beside = np.concatenate([jacobian, own, residual[:, None]], axis=1)
     first, last = np.triu_indices(lines + 1, 1)
     products = (own * weight[:, None])[:, :, None] * beside[:, None, :]
-    sums = _of_bands(products.reshape(line.size, -1), line, lines, first, last).reshape(-1, 2, p + 3)
+    sums = _sum_bands(products.reshape(line.size, -1), line, lines, first, last).reshape(-1, 2, p + 3)
     pull = sums[:, :, :p] @ covariance  # of the band's parameters on the disc's
     matrix = sums[:, :, p : p + 2] - pull @ np.swapaxes(sums[:, :, :p], 1, 2)
     own_information = np.einsum("mii->mi", sums[:, :, p : p + 2])
@@ -101,18 +101,18 @@ def _best_band(
 
 def _misfit(line: NDArray[np.intp], lines: int, evaluation: model.Evaluation, covariance: FloatArray) -> FloatArray:
     """Return the mean chi² of the pixels outside of each band, each counting as much as it tells of the position."""
-    information, chi2 = model.information_of(evaluation.jacobian, evaluation.weight, evaluation.residual, covariance)
+    information, chi2 = model.pixel_information(evaluation.jacobian, evaluation.weight, evaluation.residual, covariance)
     first, last = np.triu_indices(lines + 1, 1)
     values = np.stack([information, information * chi2], axis=-1)
     total = values.sum(axis=0)
-    rest = total - _of_bands(values, line, lines, first, last)
+    rest = total - _sum_bands(values, line, lines, first, last)
     enough = rest[:, 0] > _LEAST_REST * total[0]
     return np.asarray(
         np.where(enough, rest[:, 1] / np.maximum(rest[:, 0], 1e-300), total[1] / max(float(total[0]), 1e-300))
     )
 
 
-def _of_bands(
+def _sum_bands(
     values: FloatArray, line: NDArray[np.intp], lines: int, first: NDArray[np.intp], last: NDArray[np.intp]
 ) -> FloatArray:
     """Return the sums of (n, k) values over the lines from each `first` to before each `last`."""
@@ -194,7 +194,7 @@ def fit_disc(
             break
         problem = model.without(problem, bad)
         state, evaluation, converged = _solve(problem, state, model.evaluate(problem, state))
-    if _chi2(evaluation) > _WINGS_CHI2:
+    if _reduced_chi2(evaluation) > _WINGS_CHI2:
         problem = problem._replace(prior=prior._replace(free_wings=True))
         state, evaluation, converged = _solve(problem, state, model.evaluate(problem, state))
     return _summary(problem, state, evaluation, converged=converged)
@@ -207,27 +207,27 @@ def _from_best(problem: model.DiscProblem, starts: list[FloatArray]) -> tuple[mo
     """
     if problem.window.saturated_px and problem.sensor.binning > 1:  # clipped means: many local minima
         return min(
-            (_solve(problem, *model.with_levels(problem, start)) for start in starts), key=lambda one: one[1].cost
+            (_solve(problem, *model.solve_levels(problem, start)) for start in starts), key=lambda one: one[1].cost
         )
     if problem.window.saturated_px and problem.prior.free_stretch:
         return _solve(problem, *_best_start(problem, starts))
-    end = _solve(problem, *model.with_levels(problem, starts[0]))
-    if len(starts) == 1 or _chi2(end[1]) < _MULTISTART_CHI2:
+    end = _solve(problem, *model.solve_levels(problem, starts[0]))
+    if len(starts) == 1 or _reduced_chi2(end[1]) < _MULTISTART_CHI2:
         return end
     return min(end, _solve(problem, *_best_start(problem, starts[1:])), key=lambda one: one[1].cost)
 
 
 def _best_start(problem: model.DiscProblem, starts: list[FloatArray]) -> tuple[model.DiscState, model.Evaluation]:
-    return min((model.with_levels(problem, nonlinear) for nonlinear in starts), key=lambda start: start[1].cost)
+    return min((model.solve_levels(problem, nonlinear) for nonlinear in starts), key=lambda start: start[1].cost)
 
 
-def _chi2(evaluation: model.Evaluation) -> float:
+def _reduced_chi2(evaluation: model.Evaluation) -> float:
     """Return the reduced chi²."""
     count, parameters = int(evaluation.jacobian.shape[0]), int(evaluation.jacobian.shape[1])
     return float(evaluation.weight @ evaluation.residual**2) / max(count - parameters, 1)
 
 
-def _stepped(problem: model.DiscProblem, state: model.DiscState, step: FloatArray) -> model.DiscState:
+def _apply_step(problem: model.DiscProblem, state: model.DiscState, step: FloatArray) -> model.DiscState:
     nonlinear, colours = state.nonlinear.copy(), problem.window.colours
     free, middle = problem.prior.free, problem.prior.log_psf
     count = len(free)
@@ -253,7 +253,7 @@ def _solve(
         diagonal = matrix.ravel()[:: gradient.size + 1]
         diagonal += np.maximum(diagonal, 1e-12) * damping + 1e-12
         step = np.asarray(np.linalg.solve(matrix, gradient), dtype=np.float64)
-        next_state = _stepped(problem, state, step)
+        next_state = _apply_step(problem, state, step)
         tried = model.evaluate(problem, next_state)
         moved, gained = float(np.max(np.abs(step[:2]))), evaluation.cost - tried.cost
         still = moved < _CONVERGED_PX and abs(gained) < settled
@@ -287,7 +287,7 @@ def _summary(
     matrix, gradient = model.normal_equations(problem, state, evaluation)
     covariance = model.inverse(matrix)
     count = evaluation.residual.size
-    chi2 = _chi2(evaluation)
+    chi2 = _reduced_chi2(evaluation)
     first_flux = matrix.shape[0] - state.around.size - 2 * problem.window.colours
     levels = state.flux / max(abs(float(np.linalg.det(state.stretch))), 1e-9)
     best = int(np.argmax(levels))
@@ -320,7 +320,7 @@ def _local_chi2(evaluation: model.Evaluation, covariance: FloatArray) -> float:
 
     It rests on few pixels, so it is widened as Student's distribution is: the mean square of error / sigma stays 1.
     """
-    information, chi2 = model.information_of(evaluation.jacobian, evaluation.weight, evaluation.residual, covariance)
+    information, chi2 = model.pixel_information(evaluation.jacobian, evaluation.weight, evaluation.residual, covariance)
     total, squares, misfit = (max(float(information @ by), 1e-300) for by in (np.ones(chi2.size), information, chi2))
     freedom = max(total**2 / squares, 4.0)
     return float(misfit / total * freedom / (freedom - 2.0))

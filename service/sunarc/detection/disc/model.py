@@ -31,14 +31,14 @@ class UsedPixels(NamedTuple):
     offset: FloatArray
 
 
-def normal_of(jacobian: FloatArray, weight: FloatArray, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
+def normal_matrix(jacobian: FloatArray, weight: FloatArray, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the normal matrix (p, p) and the gradient (p,) of weighted least squares."""
     root = np.sqrt(weight)
     rows = jacobian * root[:, None]
     return rows.T @ rows, rows.T @ (root * residual)
 
 
-def information_of(
+def pixel_information(
     jacobian: FloatArray, weight: FloatArray, residual: FloatArray, covariance: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return each pixel's information on the first two parameters, and its chi² over one minus its leverage, (n,)."""
@@ -211,7 +211,7 @@ def without(problem: DiscProblem, bad: BoolArray) -> DiscProblem:
     return problem._replace(pixels=UsedPixels(place[~bad], counts[~bad], colour[~bad], offset[~bad]))
 
 
-def with_levels(problem: DiscProblem, nonlinear: FloatArray) -> tuple[DiscState, Evaluation]:
+def solve_levels(problem: DiscProblem, nonlinear: FloatArray) -> tuple[DiscState, Evaluation]:
     """Return the state whose linear parameters fit best at the given nonlinear ones, and the model there."""
     colours = problem.window.colours
     dark = DiscState(nonlinear, np.zeros(colours), np.zeros(colours), np.zeros(4))
@@ -219,12 +219,12 @@ def with_levels(problem: DiscProblem, nonlinear: FloatArray) -> tuple[DiscState,
     # The model is not known yet, so that the variance comes from the counts themselves.
     misfit = _likelihood(problem, dark, planes, moved=(), by_counts=True)
     linear = problem.window.linear.ravel()[problem.pixels.place]
-    matrix, gradient = normal_of(misfit[3], misfit[2] * linear, misfit[1])
+    matrix, gradient = normal_matrix(misfit[3], misfit[2] * linear, misfit[1])
     levels = inverse(matrix) @ gradient
     # A dark hole would give a negative flux, which is no disc.
     flux = np.maximum(levels[:colours], 1e-3)
     best = DiscState(nonlinear, flux, levels[colours : 2 * colours], levels[2 * colours :])
-    return best, _evaluated(problem, best, planes)
+    return best, _evaluate(problem, best, planes)
 
 
 def inverse(matrix: FloatArray) -> FloatArray:
@@ -239,7 +239,7 @@ def inverse(matrix: FloatArray) -> FloatArray:
 
 def evaluate(problem: DiscProblem, state: DiscState) -> Evaluation:
     """Return residuals, weights, derivatives and twice the negative log likelihood at a state."""
-    return _evaluated(problem, state, _planes(problem, state))
+    return _evaluate(problem, state, _planes(problem, state))
 
 
 def _planes(problem: DiscProblem, state: DiscState) -> FloatArray:
@@ -265,7 +265,7 @@ def _rendered(problem: DiscProblem, state: DiscState, sources: Sources, *, psf: 
     return planes
 
 
-def _evaluated(problem: DiscProblem, state: DiscState, planes: FloatArray) -> Evaluation:
+def _evaluate(problem: DiscProblem, state: DiscState, planes: FloatArray) -> Evaluation:
     moved = tuple(_MOVED[k] for k in problem.prior.free)
     misfit, residual, weight, jacobian = _likelihood(problem, state, planes, moved=moved)
     pull = _pulls(problem.prior, state)
@@ -314,7 +314,7 @@ def normal_equations(problem: DiscProblem, state: DiscState, evaluation: Evaluat
     """Return the normal matrix and the gradient, with the prior of the point spread."""
     matrix: FloatArray
     gradient: FloatArray
-    matrix, gradient = normal_of(evaluation.jacobian, evaluation.weight, evaluation.residual)
+    matrix, gradient = normal_matrix(evaluation.jacobian, evaluation.weight, evaluation.residual)
     pulls, sigmas = _pulls(problem.prior, state), (problem.prior.log_psf_sigma, problem.prior.wings_sigma)
     for k in (PSF, WINGS)[: 1 + problem.prior.free_wings]:
         matrix[k, k] += sigmas[k - PSF] ** -2

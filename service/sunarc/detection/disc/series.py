@@ -44,12 +44,13 @@ def combine(detections: Sequence[Detection], *, shifts: Sequence[tuple[float, fl
             remedy="give at least one, and a shift for each",
         )
     moved = [
-        _moved(one, shift) for one, shift in zip(detections, shifts or [(0.0, 0.0)] * len(detections), strict=True)
+        _shift_detection(one, shift)
+        for one, shift in zip(detections, shifts or [(0.0, 0.0)] * len(detections), strict=True)
     ]
     accepted = [one for one in moved if one.accepted and one.x_px is not None and one.sigma_px]
     if not accepted:
         return max(moved, key=lambda one: -math.inf if one.snr is None else one.snr)
-    return _joined(accepted)
+    return _combine_detections(accepted)
 
 
 def beside(
@@ -84,7 +85,7 @@ def beside(
     if shifts is None:
         return latest
     for one, (dx, dy) in zip(earlier, shifts, strict=True):
-        shifted = _moved(one, (-dx, -dy))
+        shifted = _shift_detection(one, (-dx, -dy))
         if shifted.accepted and _distance_px(shifted, latest) > _AGREE_PX:
             joined = combine([shifted, latest])
             if not joined.accepted:
@@ -98,13 +99,13 @@ def _distance_px(one: Detection, other: Detection) -> float:
     return math.hypot(one.x_px - other.x_px, one.y_px - other.y_px)
 
 
-def _moved(detection: Detection, shift: tuple[float, float]) -> Detection:
+def _shift_detection(detection: Detection, shift: tuple[float, float]) -> Detection:
     if detection.x_px is None or detection.y_px is None:
         return detection
     return replace(detection, x_px=detection.x_px - shift[0], y_px=detection.y_px - shift[1])
 
 
-def _joined(accepted: list[Detection]) -> Detection:
+def _combine_detections(accepted: list[Detection]) -> Detection:
     best = min(accepted, key=lambda one: one.sigma_px or math.inf)
     if len(accepted) == 1:
         return best

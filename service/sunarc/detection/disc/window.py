@@ -47,7 +47,7 @@ def cut(image: Image, *, center: tuple[float, float], half: int, sensor: Sensor,
     saturated = saturated_pixels(part, sensor=sensor, saturation_fraction=saturation_fraction)
     # A mean that only may hold clipped pixels still tells the disc's size; the model clips it as the sensor did.
     full = part >= saturation_fraction * sensor.full_scale if sensor.binning > 1 else saturated
-    usable = ~_grown(saturated) if sensor.blooming else ~full
+    usable = ~_grow_mask(saturated) if sensor.blooming else ~full
     colour, colours = _colours(part.shape, first=(x0, y0), bayer=sensor.bayer)
     smear = column_smear(image, x0=x0, x1=x1, y0=y0, y1=y1, mosaic=sensor.bayer is not None)
     counts = part.astype(np.float64) - sensor.black_level - smear
@@ -76,7 +76,7 @@ def saturated_pixels(part: Image, *, sensor: Sensor, saturation_fraction: float)
     return np.isin(region, np.unique(region[bright]))
 
 
-def _grown(mask: BoolArray) -> BoolArray:
+def _grow_mask(mask: BoolArray) -> BoolArray:
     return np.asarray(cv2.dilate(mask.astype(np.uint8), np.ones((3, 3), np.uint8))).astype(np.bool_)
 
 
@@ -114,7 +114,7 @@ def column_smear(image: Image, *, x0: int, x1: int, y0: int, y1: int, mosaic: bo
     for parity in range(2 if mosaic else 1):
         rows = _rows_beyond(image.shape[0], parity, y0, y1)
         for step in (_STEP, _FINE_STEP):
-            profile = excess_of_columns(image[rows[:: step // _FINE_STEP], x0:x1])
+            profile = column_excess(image[rows[:: step // _FINE_STEP], x0:x1])
             if not profile.any():
                 break
         profiles[parity] = profile
@@ -126,7 +126,7 @@ def _rows_beyond(height: int, parity: int, y0: int, y1: int) -> NDArray[np.intp]
     return rows[(rows < y0) | (rows >= y1)]
 
 
-def excess_of_columns(beyond: Image) -> FloatArray:
+def column_excess(beyond: Image) -> FloatArray:
     """Return the excess of each column of some rows; zeros where it is noise."""
     nothing = np.zeros(beyond.shape[1])
     if beyond.shape[0] < _FEWEST_ROWS or beyond.shape[1] == 0:

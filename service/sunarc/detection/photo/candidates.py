@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 
 from sunarc.common.array_types import BoolArray, FloatArray, Image
-from sunarc.detection.photo.plateau import Near, Plateau, faintest_colour, faintest_of_mosaic, plateaus, step_of
-from sunarc.detection.photo.rim import Rim, reach_of, rim_of
+from sunarc.detection.photo.plateau import Near, Plateau, cell_minimum, faintest_colour, plateau_step, plateaus
+from sunarc.detection.photo.rim import Rim, fit_rim, light_radius
 from sunarc.detection.values import Bayer, Expectation
 
 MAX_SIGMA = 0.01
@@ -55,7 +55,7 @@ class ImagePart(NamedTuple):
 
     def has_room(self, x: float, y: float, radius: float) -> bool:
         """Return whether the rays of a plateau end within it, or at the edge of the image."""
-        reach, (rows, columns) = reach_of(radius), self.plane.shape
+        reach, (rows, columns) = light_radius(radius), self.plane.shape
         return (
             (x - reach >= 0.0 or self.left == 0)
             and (y - reach >= 0.0 or self.top == 0)
@@ -73,7 +73,7 @@ class ImagePart(NamedTuple):
 
 def whole_part(image: Image, *, static: BoolArray | None, bayer: Bayer | None) -> ImagePart:
     """Return all of an image; see `detect_sun_in_photo`."""
-    plane = plane_of(image, bayer)
+    plane = faintest_plane(image, bayer)
     rows, columns = plane.shape
     cell = 1 if plane.shape == image.shape[:2] else 2
     return ImagePart(plane, _enlarged(static, (rows, columns)), 0, 0, (rows, columns), cell)
@@ -102,19 +102,19 @@ def part_near(
     x, y = ((value - (cell - 1) / 2.0) / cell for value in (expectation.x_px, expectation.y_px))
     reach = REACH_SIGMAS * math.hypot(expectation.uncertainty_px / cell, MAX_SIGMA * size) + REACH_PX
     radius = _WINDOW_RADIUS * size
-    half = reach + max(reach_of(radius), radius + (SURROUNDINGS + _BLUR) * size)
+    half = reach + max(light_radius(radius), radius + (SURROUNDINGS + _BLUR) * size)
     half = max(rows, columns) + abs(x) + abs(y) if complete else half
     left, right = _range(x, half, columns, step)
     top, bottom = _range(y, half, rows, step)
     window = slice(cell * top, cell * bottom), slice(cell * left, cell * right)
     shown = _enlarged(static, (rows, columns), (top, bottom, left, right))
     near = Near(x - left, y - top, reach)
-    return ImagePart(plane_of(image[window], bayer), shown, left, top, (rows, columns), cell, near)
+    return ImagePart(faintest_plane(image[window], bayer), shown, left, top, (rows, columns), cell, near)
 
 
-def plane_of(image: Image, bayer: Bayer | None) -> Image:
+def faintest_plane(image: Image, bayer: Bayer | None) -> Image:
     """Return the faintest colour of an image, (rows, columns), or of the cells of a raw mosaic, half of both."""
-    return faintest_colour(image) if bayer is None or image.ndim == 3 else faintest_of_mosaic(image)
+    return faintest_colour(image) if bayer is None or image.ndim == 3 else cell_minimum(image)
 
 
 def _range(middle: float, half: float, size: int, step: int) -> tuple[int, int]:
@@ -164,7 +164,7 @@ _SCATTER, _SPREAD, _OFFSET = 7.0, 0.5, 0.45
 maximum likelihood on 28 real suns and 283 stand-ins without an edge, each series of equal weight, rounded
 (docs/studies.md, "Stand-ins"). Cloud that scatters the rim also moves it, by a share that grows with the scatter."""
 _PULL = 0.35
-"""Sigma over the pull of a rim without an edge: the correction of `rim_of` is as wrong on all suns of a day."""
+"""Sigma over the pull of a rim without an edge: the correction of `fit_rim` is as wrong on all suns of a day."""
 _CLOUDY, _CLOUDY_RADIUS = 0.9, 0.7
 """Unevenness from which on the light about a rim without an edge is broken cloud's, and sigma over the radius and the
 excess: real clear suns had 0.9 and less; of 47 suns behind broken cloud 17 are left, within 3.1 sigma."""
@@ -217,7 +217,7 @@ def candidates_in(
     part, full_scale : where, and the largest count.
     least_level, least_near : of full scale and of a plateau's level, as in `plateaus`; None is an ordinary exposure's.
     """
-    return _with_rims(part, _plateaus(part, full_scale, least_level, least_near), full_scale)
+    return _fit_rims(part, _plateaus(part, full_scale, least_level, least_near), full_scale)
 
 
 def candidates_near(part: ImagePart, *, full_scale: int) -> list[Candidate] | None:
@@ -225,14 +225,14 @@ def candidates_near(part: ImagePart, *, full_scale: int) -> list[Candidate] | No
     found = _plateaus(part, full_scale, MIN_LEVEL, None)
     if not all(part.has_room(each.x, each.y, each.radius) for each in found):
         return None
-    seen = _with_rims(part, found, full_scale)
+    seen = _fit_rims(part, found, full_scale)
     return seen if all(part.holds(each.rim.x, each.rim.y, each.rim.radius) for each in seen) else None
 
 
 def window_step(image: Image, bayer: Bayer | None) -> int:
     """Return px of the plane by which a window may begin, so that its reduced images are parts of the whole one's."""
     size = min(image.shape[:2]) // (1 if bayer is None or image.ndim == 3 else 2)
-    return math.lcm(step_of(size), _glare_step(size))
+    return math.lcm(plateau_step(size), _glare_step(size))
 
 
 def _plateaus(part: ImagePart, full_scale: int, least_level: float, least_near: float | None) -> list[Plateau]:
@@ -248,9 +248,9 @@ def _plateaus(part: ImagePart, full_scale: int, least_level: float, least_near: 
     return [each for each in found if each.radius <= _MAX_RADIUS_FRACTION * part.size]
 
 
-def _with_rims(part: ImagePart, found: list[Plateau], full_scale: int) -> list[Candidate]:
+def _fit_rims(part: ImagePart, found: list[Plateau], full_scale: int) -> list[Candidate]:
     size, tones = part.size, _tones(full_scale)
-    rims = [rim_of(part.plane, each, static=part.static) for each in found]
+    rims = [fit_rim(part.plane, each, static=part.static) for each in found]
     fitting = [rim for rim in rims if rim is not None and rim.radius <= _MAX_RADIUS_FRACTION * size]
     if not fitting:
         return []

@@ -14,7 +14,7 @@ from sunarc.common.findings import Finding
 from sunarc.detection.photo import candidates
 from sunarc.detection.photo.plateau import circle_box
 from sunarc.detection.photo.rim import Rim
-from sunarc.detection.photo.urquhart2016 import locate, planes_of
+from sunarc.detection.photo.urquhart2016 import locate, split_planes
 from sunarc.detection.values import Bayer, Detection, Expectation, Verdict, require_photo
 
 # Which of the candidates is the sun's, and whether its position is worth using at its sigma.
@@ -64,7 +64,7 @@ class Judged(NamedTuple):
     finding: Finding
 
 
-def best_of(seen: list[candidates.Candidate], expectation: Expectation | None) -> Judged:
+def choose_candidate(seen: list[candidates.Candidate], expectation: Expectation | None) -> Judged:
     """Return the most sun-like candidate with its verdict.
 
     Those within a prediction's reach come first, what stands out from the sky before what does not.
@@ -80,7 +80,7 @@ def _verdict(seen: candidates.Candidate, expectation: Expectation | None) -> tup
             edge(seen, has_aureole=lies_in_aureole(seen))
             or _fault(seen)
             or _unlike_a_sun(seen, _MIN_FLAT, seen.off_glare_px)
-            or _one_of_many(seen)
+            or _doubt_cloud_region(seen)
             or _clear(seen.rim)
         )
     distance = math.hypot(seen.rim.x - expectation.x_px, seen.rim.y - expectation.y_px)
@@ -144,7 +144,7 @@ def _unlike_a_sun(seen: candidates.Candidate, min_flat: float, off_px: float) ->
     return None
 
 
-def _one_of_many(seen: candidates.Candidate) -> tuple[Verdict, Finding] | None:
+def _doubt_cloud_region(seen: candidates.Candidate) -> tuple[Verdict, Finding] | None:
     """Return why a round region may be one of a cloud's: too wide, not alone, or not in the middle of an aureole."""
     radius = seen.rim.radius / seen.size_px
     if radius > _MAX_RADIUS:
@@ -257,7 +257,7 @@ def _near(photo: Photo, expectation: Expectation, *, elsewhere: bool) -> Detecti
     if seen is None:
         part = candidates.part_near(image, expectation, step=step, static=static, bayer=bayer, complete=True)
         seen = candidates.candidates_near(part, full_scale=full_scale)
-    best = best_of(seen, expectation) if seen else None
+    best = choose_candidate(seen, expectation) if seen else None
     if best is not None and not (elsewhere and best.verdict == "reflection"):
         return _detection(best, part, photo)
     return None if elsewhere else _nothing(part, full_scale, exposure_us)
@@ -267,7 +267,7 @@ def _anywhere(photo: Photo, expectation: Expectation | None) -> Detection:
     part = candidates.whole_part(photo.image, static=photo.static, bayer=photo.bayer)
     seen = candidates.candidates_in(part, full_scale=photo.full_scale)
     if seen:
-        return _detection(best_of(seen, expectation), part, photo)
+        return _detection(choose_candidate(seen, expectation), part, photo)
     return _nothing(part, photo.full_scale, photo.exposure_us)
 
 
@@ -319,14 +319,14 @@ def _detection(best: Judged, part: candidates.ImagePart, photo: Photo) -> Detect
 def _sparse(photo: Photo, part: candidates.ImagePart) -> Image:
     """Return every 16th row and column of the whole plane."""
     if part.cell == 1:
-        return candidates.plane_of(photo.image[::_SPARSE, ::_SPARSE], None)
+        return candidates.faintest_plane(photo.image[::_SPARSE, ::_SPARSE], None)
     whole = part if part.near is None else candidates.whole_part(photo.image, static=None, bayer=photo.bayer)
     return whole.plane[::_SPARSE, ::_SPARSE]
 
 
 def _papers(found: Detection, photo: Photo, zenith: float | None) -> Detection:
     """Return a detection with the position of the paper's estimators in place of the rim's."""
-    estimates = locate(planes_of(photo.image, full_scale=photo.full_scale), apparent_zenith=zenith)
+    estimates = locate(split_planes(photo.image, full_scale=photo.full_scale), apparent_zenith=zenith)
     if estimates is None:
         return found
     x, y = estimates.position

@@ -31,7 +31,7 @@ class Blob(NamedTuple):
     box: tuple[int, int, int, int]
 
 
-def blobs_of(mask: Mask, *, most: int) -> list[Blob]:
+def largest_blobs(mask: Mask, *, most: int) -> list[Blob]:
     """Return the largest connected regions of a mask, largest first."""
     x, y, width, height = cv2.boundingRect(mask)
     part = np.ascontiguousarray(mask[y : y + height, x : x + width])
@@ -115,7 +115,7 @@ def faintest_colour(image: Image) -> Image:
     return faintest
 
 
-def faintest_of_mosaic(image: Image) -> Image:
+def cell_minimum(image: Image) -> Image:
     """Return the smallest count of each 2 × 2 cell of a raw mosaic, (rows // 2, columns // 2)."""
     rows, columns = (size // 2 * 2 for size in image.shape)
     cells = [image[row:rows:2, column:columns:2] for row in (0, 1) for column in (0, 1)]
@@ -123,7 +123,7 @@ def faintest_of_mosaic(image: Image) -> Image:
     return faintest
 
 
-def step_of(size: int) -> int:
+def plateau_step(size: int) -> int:
     """Return px of an image, by its smaller side, in one of those in which plateaus are looked for."""
     return max(1, round(size / _SEARCHED_PX))
 
@@ -149,7 +149,7 @@ def plateaus(
     near : only plateaus are returned in whose circle, or out of it by `reach` at most, a predicted place is; their
         levels are those of places within its reach. None for all plateaus.
     """
-    step = step_of(min(plane.shape) if size is None else size)
+    step = plateau_step(min(plane.shape) if size is None else size)
     small = _reduced(plane, step, static)
     found, taken = list[Plateau](), np.zeros(small.shape, np.uint8)
     highest = cv2.erode(small, np.ones((3, 3), np.uint8))

@@ -127,12 +127,12 @@ class _Rays(NamedTuple):
     radii: FloatArray
 
 
-def reach_of(radius: float) -> float:
+def light_radius(radius: float) -> float:
     """Return how far from its centre the light about a plateau is used, px."""
     return _REACH * radius + _REACH_PX + _MARGIN_PX
 
 
-def rim_of(plane: Image, plateau: Plateau, *, static: BoolArray | None = None) -> Rim | None:
+def fit_rim(plane: Image, plateau: Plateau, *, static: BoolArray | None = None) -> Rim | None:
     """Return the rim of a plateau; None where no circle follows it.
 
     Parameters

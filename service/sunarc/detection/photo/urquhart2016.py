@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sunarc.common.array_types import FloatArray, Image
 from sunarc.common.robust_statistics import mad_sigma
-from sunarc.detection.photo.plateau import Blob, blobs_of, opened
+from sunarc.detection.photo.plateau import Blob, largest_blobs, opened
 from sunarc.detection.values import require_photo
 
 # The five estimators of the paper's Appendix A, each on the V-image (the largest of red, green and blue).
@@ -47,7 +47,7 @@ def sun_blob(counts: Image) -> Blob | None:
     brighter = np.cumsum(histogram[::-1], dtype=np.float64)[::-1]
     level = int(np.flatnonzero(brighter >= max((1.0 - _PERCENTILE / 100.0) * counts.size, 1.0))[-1])
     mask = (counts >= level).astype(np.uint8)
-    found = blobs_of(opened(mask, 3), most=1)
+    found = largest_blobs(opened(mask, 3), most=1)
     return found[0] if found else None
 
 
@@ -66,10 +66,10 @@ def kernels(*, diameter: float, sigma: float) -> tuple[Plane, Plane, Plane]:
 def strongest(value: Plane, kernel: Plane) -> tuple[float, float]:
     """Return x, y of the maximum of the plane convolved with a symmetric kernel; beyond the edge it is dark."""
     response = cv2.filter2D(value, cv2.CV_32F, kernel, borderType=cv2.BORDER_CONSTANT)
-    return peak_of(np.asarray(response))
+    return find_peak(np.asarray(response))
 
 
-def peak_of(response: Plane) -> tuple[float, float]:
+def find_peak(response: Plane) -> tuple[float, float]:
     """Return x, y of the maximum; the mean where several places are as high to within rounding."""
     top = float(response.max())
     rows, columns = np.nonzero(response >= top - 2e-6 * max(abs(top), 1e-30))
@@ -112,7 +112,7 @@ def forstner(value: Plane, *, sigma: float, within: tuple[slice, slice] | None =
         down, across = (_blur(n, part, size, sigma) for n, part in zip(value.shape, within, strict=True))
         xx, xy, yy = (down @ np.asarray(product) @ across.T for product in products)
     minor = 0.5 * (xx + yy) - np.hypot(0.5 * (xx - yy), xy)
-    x, y = peak_of(np.asarray(minor, dtype=np.float32))
+    x, y = find_peak(np.asarray(minor, dtype=np.float32))
     return (x, y) if within is None else (x + within[1].start, y + within[0].start)
 
 
@@ -188,7 +188,7 @@ class Planes(NamedTuple):
         return Planes(self.counts[rows, columns], self.image[rows, columns], self.full_scale)
 
 
-def planes_of(image: Image, *, full_scale: int) -> Planes:
+def split_planes(image: Image, *, full_scale: int) -> Planes:
     """Return the planes of a mono (rows, columns) or colour (rows, columns, 3) image, uint8 or uint16.
 
     Raises

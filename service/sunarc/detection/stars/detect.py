@@ -28,7 +28,7 @@ class Background(NamedTuple):
     noise: Plane
 
 
-def background_of(plane: Plane, *, least_noise: float) -> Background:
+def estimate_background(plane: Plane, *, least_noise: float) -> Background:
     """Return the background of an image and its noise, without its stars.
 
     The median of each tile of 32 px, and the scatter about it by the median absolute deviation from the smooth level,
@@ -83,7 +83,7 @@ _COLOURS = {
 }
 
 
-def plane_of(image: Image, full_scale: int, bayer: Bayer | None) -> tuple[Plane, BoolArray]:
+def light_plane(image: Image, full_scale: int, bayer: Bayer | None) -> tuple[Plane, BoolArray]:
     """Return the light of an image, counts, and where it is clipped in any colour, or next to such a pixel."""
     colours = cv2.cvtColor(image, _COLOURS[bayer]) if bayer is not None and image.ndim == 2 else image
     top = colours.max(axis=-1) if colours.ndim == 3 else colours
@@ -92,7 +92,7 @@ def plane_of(image: Image, full_scale: int, bayer: Bayer | None) -> tuple[Plane,
     return light, np.asarray(clipped)
 
 
-def maxima_of(plane: Plane, ground: Background, clipped: BoolArray, usable: BoolArray, width: float) -> FloatArray:
+def find_maxima(plane: Plane, ground: Background, clipped: BoolArray, usable: BoolArray, width: float) -> FloatArray:
     """Return the places (n, 2) where a Gaussian of a width stands out by 5 sigma, the brightest first."""
     ratio = (plane - ground.level) / ground.noise
     ratio[~usable] = 0.0
@@ -111,15 +111,15 @@ def maxima_of(plane: Plane, ground: Background, clipped: BoolArray, usable: Bool
     # a clipped plateau has many equal maxima: the first of each counts
     order = np.argsort(-response[rows, columns], kind="stable")
     places = np.stack([columns, rows], axis=-1)[order].astype(np.float64)
-    places = _single(_of_all_parts(places, plane.shape, 2 * MOST), apart * (1.0 + np.any(clipped)))
-    return _of_all_parts(places, plane.shape, MOST)
+    places = _single(_spread_over_parts(places, plane.shape, 2 * MOST), apart * (1.0 + np.any(clipped)))
+    return _spread_over_parts(places, plane.shape, MOST)
 
 
 _PARTS_ACROSS = 8
 """Of an image: lamps, roofs and trees about the horizon are in few of its 64 parts."""
 
 
-def _of_all_parts(places: FloatArray, size: tuple[int, ...], most: int) -> FloatArray:
+def _spread_over_parts(places: FloatArray, size: tuple[int, ...], most: int) -> FloatArray:
     """Return at most so many places, in their order: the first of each part of an image, then the next of each."""
     if places.shape[0] <= most:
         return places
@@ -195,7 +195,7 @@ def fit_point_spreads(stamps: Stamps, start: FloatArray, *, gain_e: float | None
     for _ in range(_ROUNDS):
         weight = _weights(stamps, now, gain_e)
         cost, normal, gradient = _equations(stamps, now, weight, free)
-        step = _solved(normal + damping[:, None, None] * _diagonal(normal), gradient)
+        step = _solve_pairs(normal + damping[:, None, None] * _diagonal(normal), gradient)
         tried = now.copy()
         tried[:, :free] += step
         with np.errstate(over="ignore", invalid="ignore"):  # a step may lead anywhere, and is then not taken
@@ -228,7 +228,7 @@ def inverse_shape(shape: FloatArray) -> FloatArray:
     return np.asarray(np.stack([yy, -xy, xx], axis=-1) / (xx * yy - xy**2)[..., None])
 
 
-def axes_of(shape: FloatArray) -> tuple[FloatArray, FloatArray]:
+def ellipse_axes(shape: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the minor and the major 1-sigma axis, (...) px, of covariances (..., 3) px²."""
     xx, xy, yy = np.moveaxis(shape, -1, 0)
     half, apart = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
@@ -249,9 +249,9 @@ def _cost(stamps: Stamps, at: FloatArray, weight: FloatArray) -> FloatArray:
     return np.asarray(np.sum(residual**2 * weight, axis=-1))
 
 
-def width_of(shape: FloatArray) -> FloatArray:
+def mean_width(shape: FloatArray) -> FloatArray:
     """Return the geometric mean of the 1-sigma axes, (...) px, of covariances (..., 3) px²."""
-    minor, major = axes_of(shape)
+    minor, major = ellipse_axes(shape)
     width: FloatArray = np.sqrt(minor * major)
     return width
 
@@ -287,7 +287,7 @@ def _diagonal(matrices: FloatArray) -> FloatArray:
     return np.asarray((np.einsum("nii->ni", matrices) + 1e-12)[..., None] * np.eye(size))
 
 
-def _solved(matrices: FloatArray, right: FloatArray) -> FloatArray:
+def _solve_pairs(matrices: FloatArray, right: FloatArray) -> FloatArray:
     # in units of the diagonal, since heights and positions differ by powers of ten
     scale = 1.0 / np.sqrt(np.einsum("nii->ni", matrices))
     unit = matrices * scale[:, :, None] * scale[:, None, :] + 1e-9 * np.eye(matrices.shape[-1])
@@ -374,32 +374,32 @@ def detect_stars(
     InputError : the array is not an image.
     """
     require_photo(image, full_scale=full_scale, bayer=bayer)
-    plane, clipped = plane_of(image, full_scale, bayer)
-    ground = background_of(plane, least_noise=1e-4 * full_scale)
+    plane, clipped = light_plane(image, full_scale, bayer)
+    ground = estimate_background(plane, least_noise=1e-4 * full_scale)
     usable = np.ones(plane.shape, dtype=bool) if mask is None else ~mask
-    first = maxima_of(plane, ground, clipped, usable, FIRST_WIDTH_PX)
-    shapes = shapes_of_bright(plane, ground, clipped, first, gain_e_per_count)
+    first = find_maxima(plane, ground, clipped, usable, FIRST_WIDTH_PX)
+    shapes = measure_bright_shapes(plane, ground, clipped, first, gain_e_per_count)
     if shapes is None or shapes[0].shape[0] < _FEW:  # aurora and roofs, or stars that this width smears
-        sharp = maxima_of(plane, ground, clipped, usable, _SHARP_WIDTH_PX)
-        shapes = _shapes_of_sharp(plane, ground, clipped, sharp, gain_e_per_count) or shapes
+        sharp = find_maxima(plane, ground, clipped, usable, _SHARP_WIDTH_PX)
+        shapes = _measure_sharp_shapes(plane, ground, clipped, sharp, gain_e_per_count) or shapes
     if shapes is None:
         return _none()
-    width = float(np.median(width_of(shapes[1])))
-    places = maxima_of(plane, ground, clipped, usable, width)
+    width = float(np.median(mean_width(shapes[1])))
+    places = find_maxima(plane, ground, clipped, usable, width)
     expected = shape_at(*shapes, places, plane.shape)
     stamps, cut_off = stamps_at(plane, ground, clipped, places, width)
     fitted = fit_point_spreads(stamps, start_at(stamps, places, expected), gain_e=gain_e_per_count, shape=False)
     own = _own_shapes(stamps, fitted, expected, cut_off, gain_e_per_count)
     peak = (plane[tuple(places[:, ::-1].astype(int).T)] / full_scale).astype(np.float64)
     stars = _stars(fitted, own, expected, cut_off, peak)
-    ratio = stars.width_px / width_of(expected)
+    ratio = stars.width_px / mean_width(expected)
     near = np.hypot(*(stars.pixels - places).T) < _MOVED_PX * max(width, 1.0)
     found = stars.select((ratio > ALIKE[0]) & (ratio < ALIKE[1]) & near & (stars.snr > FAINTEST_SNR))
-    found = _with_cores(found, clipped_cores(plane - ground.level, clipped, usable=usable), width)
+    found = _merge_cores(found, clipped_cores(plane - ground.level, clipped, usable=usable), width)
     return found.select(np.argsort(-found.flux, kind="stable")[:MOST])
 
 
-def _with_cores(stars: Stars, cores: ClippedCores, width: float) -> Stars:
+def _merge_cores(stars: Stars, cores: ClippedCores, width: float) -> Stars:
     """Remove detections about clipped cores, and add each core that is like a star as one clipped star."""
     if cores.radius.size == 0:
         return stars
@@ -434,11 +434,11 @@ def _own_shapes(
 
 
 def _stars(fitted: StarFits, own: FloatArray, expected: FloatArray, clipped: BoolArray, peak: FloatArray) -> Stars:
-    minor, major = axes_of(own)
+    minor, major = ellipse_axes(own)
     return Stars(
         pixels=fitted.parameters[:, :2],
         sigma_px=fitted.sigma_px,
-        flux=fitted.parameters[:, 2] * 2.0 * math.pi * width_of(expected) ** 2,
+        flux=fitted.parameters[:, 2] * 2.0 * math.pi * mean_width(expected) ** 2,
         snr=fitted.snr,
         peak_fraction=peak,
         width_px=np.sqrt(minor * major),
@@ -499,7 +499,7 @@ def start_at(stamps: Stamps, places: FloatArray, shape: FloatArray) -> FloatArra
     return np.column_stack([places, height, np.zeros(height.size), inverse_shape(shape)])
 
 
-def shapes_of_bright(
+def measure_bright_shapes(
     plane: Plane, ground: Background, clipped: BoolArray, places: FloatArray, gain_e: float | None
 ) -> tuple[FloatArray, FloatArray] | None:
     """Return places (k, 2) and covariances (k, 3) px² of the point spread of bright stars; None without any."""
@@ -511,7 +511,7 @@ def shapes_of_bright(
         start = start_at(stamps, wanted, np.tile([width**2, 0.0, width**2], (wanted.shape[0], 1)))
         fitted = fit_point_spreads(stamps, start, gain_e=gain_e, shape=True)
         shape = inverse_shape(fitted.parameters[:, 4:])
-        minor, major = axes_of(shape)
+        minor, major = ellipse_axes(shape)
         good = ~cut_off & (minor > 0.25) & (major < 8.0) & (major < 3.0 * minor) & (fitted.snr > FAINTEST_SNR)
         if not np.any(good):
             return None
@@ -524,7 +524,7 @@ def shapes_of_bright(
     return wanted[typical][:_SHAPES], shape[typical][:_SHAPES]
 
 
-def _shapes_of_sharp(
+def _measure_sharp_shapes(
     plane: Plane, ground: Background, clipped: BoolArray, places: FloatArray, gain_e: float | None
 ) -> tuple[FloatArray, FloatArray] | None:
     """Return places (k, 2) and covariances (k, 3) px² of point sources of a pixel's width that are alike, or None."""
@@ -535,7 +535,7 @@ def _shapes_of_sharp(
     start = start_at(stamps, wanted, np.tile([variance, 0.0, variance], (wanted.shape[0], 1)))
     fitted = fit_point_spreads(stamps, start, gain_e=gain_e, shape=True)
     shape = inverse_shape(fitted.parameters[:, 4:])
-    minor, major = axes_of(shape)
+    minor, major = ellipse_axes(shape)
     good = np.flatnonzero(~cut_off & (minor > 0.25) & (major < 3.0 * minor) & (fitted.snr > FAINTEST_SNR))
     width = np.sqrt(minor * major)[good]
     ordered = np.sort(width)
@@ -559,8 +559,8 @@ def shape_at(known: FloatArray, shape: FloatArray, places: FloatArray, size: tup
         distance = np.linalg.norm(shape - design @ coefficients, axis=-1)
         weight = biweights(distance / max(4.0 * mad_sigma(distance), 1e-6))
     smooth = _quadratic(places, size) @ coefficients
-    minor, major = axes_of(smooth)
-    middle = float(np.median(width_of(shape)))
+    minor, major = ellipse_axes(smooth)
+    middle = float(np.median(mean_width(shape)))
     # far from all bright stars a quadratic may be no shape at all
     bad = ~((minor > 0.4 * middle) & (major < 2.5 * middle))
     smooth[bad] = np.median(shape, axis=0)

@@ -90,36 +90,36 @@ def match_stars(
     limits : magnitudes to begin with, the faintest first.
     """
     rows = np.flatnonzero(~on_cloud(stars))
-    matches = _matched(stars.select(rows), predicted, trail_px, limits)
+    matches = _match_visible(stars.select(rows), predicted, trail_px, limits)
     return replace(matches, detection=rows[matches.detection])
 
 
-def _matched(stars: Stars, predicted: PredictedStars, trail_px: float, limits: Sequence[float]) -> StarMatches:
+def _match_visible(stars: Stars, predicted: PredictedStars, trail_px: float, limits: Sequence[float]) -> StarMatches:
     radius = _SIGMAS * np.hypot(predicted.sigma_px, _SEEING_PX) + trail_px
     if len(stars) < _FEWEST:
-        return _refused(_few(0, stars))
+        return _refuse(_few(0, stars))
     limit = next((one for one in limits if _chance(predicted, radius, one) <= _MOST_CHANCE), None)
     if limit is None:
-        return _refused(Finding("stars_prediction_uncertain", {"sigma_px": float(np.median(predicted.sigma_px))}))
+        return _refuse(Finding("stars_prediction_uncertain", {"sigma_px": float(np.median(predicted.sigma_px))}))
     bright = predicted.magnitude <= limit
     considered = stars.select(np.arange(min(len(stars), _considered(int(bright.sum())))))
     pairs = _pairs(considered, predicted, predicted.pixels, radius, bright)
     if pairs.star.size < _FEWEST:
-        return _refused(_few(pairs.star.size, stars))
+        return _refuse(_few(pairs.star.size, stars))
     zero = _zero_point(considered, predicted, pairs)
     pairs = _like_in_brightness(considered, predicted, pairs, zero)
     explained = _explained(considered, predicted, radius, zero, limit)
     found = _found(considered, predicted, radius, zero, limit)
     if pairs.star.size < _FEWEST:
-        return _refused(_few(pairs.star.size, stars), *_shares(explained, found), explained=explained, found=found)
+        return _refuse(_few(pairs.star.size, stars), *_shares(explained, found), explained=explained, found=found)
     correction, scatter = _smooth(predicted.pixels[pairs.star], pairs.difference)
     findings = (
         *_shares(explained, found),
-        *_spread(predicted, pairs),
+        *_check_spread(predicted, pairs),
         *_coherent(considered, predicted, pairs, scatter, radius),
     )
     if findings:
-        return _refused(*findings, explained=explained, found=found, scatter_px=scatter)
+        return _refuse(*findings, explained=explained, found=found, scatter_px=scatter)
     corrected = replace(predicted, pixels=predicted.pixels + correction.at(predicted.pixels))
     return _corrected(stars, corrected, zero, scatter, limits[0])
 
@@ -136,11 +136,11 @@ def _corrected(stars: Stars, predicted: PredictedStars, zero: FloatArray, scatte
     if chance > _MOST_CHANCE or scatter > _MOST_SCATTER_PX:
         findings.append(Finding("stars_scattered", {"scatter_px": scatter, "radius_px": float(wide[0])}))
     if findings:
-        return _refused(*findings, **measured)
+        return _refuse(*findings, **measured)
     pairs = _pairs(stars, predicted, predicted.pixels, near, np.ones(len(predicted), dtype=bool))
     pairs = _like_in_brightness(stars, predicted, pairs, zero)
     if pairs.star.size < _FEWEST:
-        return _refused(_few(pairs.star.size, stars), **measured)
+        return _refuse(_few(pairs.star.size, stars), **measured)
     matched = Finding("stars_matched", {"n": int(pairs.star.size), "explained": explained, "found": found})
     sound = stars.sound[pairs.detection]
     places, sigma = predicted.pixels[pairs.star[sound]], stars.sigma_px[pairs.detection[sound]]
@@ -254,7 +254,7 @@ def _zero_point(stars: Stars, predicted: PredictedStars, pairs: _Pairs) -> Float
     return np.array([*line, scatter])
 
 
-def _magnitude_of(stars: Stars, zero: FloatArray) -> FloatArray:
+def _estimated_magnitude(stars: Stars, zero: FloatArray) -> FloatArray:
     """Return the V that detections would have by their flux."""
     return np.asarray(3.0 + (_instrumental(stars) - zero[0]) / zero[1])
 
@@ -267,7 +267,7 @@ def _like_in_brightness(stars: Stars, predicted: PredictedStars, pairs: _Pairs, 
 
 def _explained(stars: Stars, predicted: PredictedStars, radius: FloatArray, zero: FloatArray, limit: float) -> float:
     """Return the share of the bright detections that have a predicted star within its radius."""
-    bright = _magnitude_of(stars, zero) < limit - 0.5
+    bright = _estimated_magnitude(stars, zero) < limit - 0.5
     if not np.any(bright):
         return 0.0
     bright_enough = predicted.magnitude < limit + 0.5
@@ -277,7 +277,7 @@ def _explained(stars: Stars, predicted: PredictedStars, radius: FloatArray, zero
 
 def _found(stars: Stars, predicted: PredictedStars, radius: FloatArray, zero: FloatArray, limit: float) -> float:
     """Return the share of the predicted bright stars that are detected, where the sky about them is clear."""
-    bright = _magnitude_of(stars, zero) < limit + 0.5
+    bright = _estimated_magnitude(stars, zero) < limit + 0.5
     expected = predicted.magnitude < limit - 0.5
     if not np.any(bright):
         return 0.0
@@ -295,7 +295,7 @@ def _shares(explained: float, found: float) -> list[Finding]:
     return [Finding(code, {"share": share, "limit": least}) for code, share, least in shares if share < least]
 
 
-def _spread(predicted: PredictedStars, pairs: _Pairs) -> list[Finding]:
+def _check_spread(predicted: PredictedStars, pairs: _Pairs) -> list[Finding]:
     azimuth = np.sort(predicted.azimuth_deg[pairs.star] % 360.0)
     gap = float(np.max(np.diff(np.r_[azimuth, azimuth[0] + 360.0])))
     return [Finding("stars_one_sided", {"gap_deg": gap, "limit": _WIDEST_GAP_DEG})] if gap > _WIDEST_GAP_DEG else []
@@ -346,7 +346,7 @@ def _smooth(pixels: FloatArray, difference: FloatArray) -> tuple[_Correction, fl
     return _Correction(np.asarray(middle, dtype=np.float64), scale, np.asarray(coefficients)), scatter
 
 
-def _refused(*findings: Finding, **measured: float) -> StarMatches:
+def _refuse(*findings: Finding, **measured: float) -> StarMatches:
     none = np.zeros(0, dtype=np.int64)
     return StarMatches(accepted=False, findings=findings, star=none, detection=none, **measured)
 

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from sunarc.common.array_types import BoolArray, FloatArray, Image, IntArray
 from sunarc.common.bounds import require_bounds
 from sunarc.common.robust_statistics import biweights, mad_sigma
-from sunarc.detection.stars.detect import plane_of
+from sunarc.detection.stars.detect import light_plane
 from sunarc.detection.values import Bayer, PredictedStars, Stars
 
 LOWEST_DEG = 78.0
@@ -63,7 +63,7 @@ class Extinction:
     transparency: FloatArray
 
 
-def extinction_of(images: Sequence[StarLight], bands_deg: Sequence[float]) -> Extinction:
+def fit_extinction(images: Sequence[StarLight], bands_deg: Sequence[float]) -> Extinction:
     """Return the extinction that the stars of a night's images have in common, and each image's zero point.
 
     A robust straight line of the magnitudes that a star lost over its air mass: one slope, and a zero point for each
@@ -239,7 +239,7 @@ class NightTrend:
     fading_mag: float
 
 
-def trend_of(width: FloatArray, halo: FloatArray, zero_point: FloatArray) -> NightTrend:
+def night_trend(width: FloatArray, halo: FloatArray, zero_point: FloatArray) -> NightTrend:
     """Return the medians of the last third of a night's images against those of its first, (n,) in their order."""
     first, last = zip(*(_ends(column) for column in (width, halo, zero_point)), strict=True)
     return NightTrend(
@@ -294,7 +294,7 @@ def star_halo(image: Image, stars: Stars, *, full_scale: int, bayer: Bayer | Non
     usable = np.flatnonzero(stars.sound & (stars.snr > _BRIGHT_SNR) & (stars.flux > 0.0))[:_MOST]
     if usable.size < _FEWEST_RINGS:
         return math.nan
-    plane, _ = plane_of(image, full_scale, bayer)
+    plane, _ = light_plane(image, full_scale, bayer)
     width = float(np.median(stars.width_px[usable]))
     reach = math.ceil(_GROUND_WIDTHS[1] * width)
     offset = np.arange(-reach, reach + 1)

@@ -297,7 +297,7 @@ class Service:
         if options is None:
             return None
         from sunarc.imager.live.live_images import LiveImages  # noqa: PLC0415
-        from sunarc.imager.live.rtsp import client_of  # noqa: PLC0415
+        from sunarc.imager.live.rtsp import make_client  # noqa: PLC0415
         from sunarc.imager.live.snapshots import SnapshotWorker  # noqa: PLC0415
 
         images = LiveImages(
@@ -311,7 +311,7 @@ class Service:
             board=self.board,
         )
         worker = SnapshotWorker(
-            client_of(options, self.clock, dated_by_camera=settings.dated_by_camera),
+            make_client(options, self.clock, dated_by_camera=settings.dated_by_camera),
             kind=settings.source,
             keep_images=isinstance(options, SnapshotOptions) and options.keep_images,
             capture=settings.capture,
@@ -330,17 +330,17 @@ class Service:
     def workers(self) -> tuple[Supervised, ...]:
         """Return the workers that the supervisor keeps alive; consumers first, so that producers find them ready."""
         return (
-            self._supervised("clock", lambda: self.clock_watch),
-            self._supervised("disk", self.disk_worker),
-            self._supervised("database", self.database_worker),
-            self._supervised("refit", self.refit_worker),
+            self._supervise("clock", lambda: self.clock_watch),
+            self._supervise("disk", self.disk_worker),
+            self._supervise("database", self.database_worker),
+            self._supervise("refit", self.refit_worker),
             *(
                 ()
                 if self.settings.hub.url is None
-                else (replace(self._supervised("feed", self.feed_worker), optional=True),)
+                else (replace(self._supervise("feed", self.feed_worker), optional=True),)
             ),
-            self._supervised("watch", lambda: self.watch),
-            *(() if self.night is None else (self._supervised("night", partial(night_worker, self, self.night)),)),
+            self._supervise("watch", lambda: self.watch),
+            *(() if self.night is None else (self._supervise("night", partial(night_worker, self, self.night)),)),
             *self._source_workers(),
         )
 
@@ -349,20 +349,20 @@ class Service:
         if self.folder is not None and self.folder_archive is not None:
             follower, behind = self.folder, self.folder_archive
             return (
-                self._supervised("archive", lambda: behind),
-                replace(self._supervised("capture", lambda: follower), essential=True, severity="not_ready"),
+                self._supervise("archive", lambda: behind),
+                replace(self._supervise("capture", lambda: follower), essential=True, severity="not_ready"),
             )
         if self.snapshots is not None:
             snapshots = self.snapshots
-            return (replace(self._supervised("capture", lambda: snapshots), essential=True, severity="not_ready"),)
+            return (replace(self._supervise("capture", lambda: snapshots), essential=True, severity="not_ready"),)
         capture = self.replay_worker if self.settings.source == "replay" else self.capture_worker
         return (
-            replace(self._supervised("detect", self.detect_worker), severity="not_ready"),
-            self._supervised("compose", self.compose_worker),
-            replace(self._supervised("capture", capture), essential=True, severity="not_ready"),
+            replace(self._supervise("detect", self.detect_worker), severity="not_ready"),
+            self._supervise("compose", self.compose_worker),
+            replace(self._supervise("capture", capture), essential=True, severity="not_ready"),
         )
 
-    def _supervised(self, name: str, make_worker: Callable[[], Worker]) -> Supervised:
+    def _supervise(self, name: str, make_worker: Callable[[], Worker]) -> Supervised:
         return Supervised(name=name, make_worker=make_worker, options=self.settings.supervisor)
 
     def _apparent_zenith(self) -> float:
@@ -434,12 +434,12 @@ class Service:
             raise
         record = camera_record(camera.info, name=self.settings.name, site=self.settings.place)
         try:
-            self.archive.cameras.save(note_other_camera(self.archive, record, at=self._time_of_change()))
+            self.archive.cameras.save(note_other_camera(self.archive, record, at=self._change_time()))
         except OutsideError as error:
             _log.warning("could not store camera record: %s", error)
         return camera
 
-    def _time_of_change(self) -> datetime:
+    def _change_time(self) -> datetime:
         """Return a time after the last frame of the camera that was open before and not after the next frame.
 
         While the clock is not trusted, or before the camera's time is known, that is just after the newest sighting.

@@ -143,7 +143,7 @@ def _serve_at(listening: socket.socket, settings: Settings, folder_analysis: Fol
         stack.callback(service.archive.close)
         supervisor = stack.enter_context(
             supervised(
-                (*service.workers(), *recording, *push_workers_of(service)),
+                (*service.workers(), *recording, *make_push_workers(service)),
                 clock=clock,
                 board=service.board,
                 watchdog=Watchdog(
@@ -187,7 +187,7 @@ def _make_room(settings: Settings) -> None:
 
 
 def _web_server(service: Service, *, on_started: Callable[[], None]) -> Server:
-    options = with_credentials(service.settings.api)
+    options = load_credentials(service.settings.api)
     app = create_app(
         archive=service.archive,
         camera=service.settings.name,
@@ -225,7 +225,7 @@ def new_server(app: FastAPI, options: ApiOptions, *, on_started: Callable[[], No
     return Server(bound_connections(config, options), on_started=on_started, heartbeat=heartbeat)
 
 
-def with_credentials(options: ApiOptions) -> ApiOptions:
+def load_credentials(options: ApiOptions) -> ApiOptions:
     """Return the options with the tokens that systemd holds, where no file is set."""
     return replace(
         options,
@@ -288,7 +288,7 @@ def monitored_parts(service: Service, *, server: Server, schedule: Schedule) -> 
     )
 
 
-def push_workers_of(service: Service) -> tuple[Supervised, ...]:
+def make_push_workers(service: Service) -> tuple[Supervised, ...]:
     """Return the workers that send messages to receivers."""
     return push_workers(
         service.settings.push,

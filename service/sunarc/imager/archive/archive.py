@@ -97,7 +97,7 @@ class Archive:
             return None
         if problem not in {connections.DELETED, connections.REPLACED, connections.EMPTIED, connections.DAMAGED}:
             raise OutsideError(f"the database {file.path} {problem}")
-        with self.database.out_of_use():
+        with self.database.suspend_use():
             done = rebuild(file.path, witness, problem=problem, now=now, close=self.close)
             file.remember()
             self._witness = _reader(file)
@@ -153,7 +153,7 @@ def _open_on_server(kind: type[Opened], url: URL, *, command: str) -> Opened:
     try:
         with connections.reading(engine) as connection:
             connections.require_writable(connection)
-            require_head(connection, where=connections.name_of(url), command=command)
+            require_head(connection, where=connections.public_address(url), command=command)
         return kind(engine, None)
     except BaseException:
         engine.dispose()

@@ -17,7 +17,7 @@ from sunarc.common.findings import Finding
 from sunarc.common.utc import EPOCH, rfc3339
 from sunarc.imager.archive.database.connections import json_text, parsed_json
 from sunarc.imager.archive.database.tables import UtcTime, calibration, stored_bytes
-from sunarc.imager.archive.values import CalibrationRecord, CalibrationState, fields_of
+from sunarc.imager.archive.values import CalibrationRecord, CalibrationState, field_values
 
 DAMAGED = Finding("document_damaged")
 """Finding of a damaged calibration."""
@@ -75,9 +75,9 @@ def damaged_calibrations(connection: Connection) -> dict[str, str | None]:
     return {name: state for name, state in states if read_document(connection, name) is None}
 
 
-def row_of(record: CalibrationRecord) -> dict[str, Any]:
+def record_columns(record: CalibrationRecord) -> dict[str, Any]:
     """Return the columns of a record, with the checksum of the document as it will be stored."""
-    row = fields_of(record) | {"document": dict(record.document)}
+    row = field_values(record) | {"document": dict(record.document)}
     row.pop("damaged")
     row["document_sha256"] = hashlib.sha256(json_text(row["document"]).encode()).hexdigest()
     return row
@@ -104,7 +104,7 @@ def _damaged(values: dict[str, Any]) -> CalibrationRecord:
 SERVED: tuple[CalibrationState, ...] = ("current", "retired")
 
 
-def with_interval(record: CalibrationRecord) -> CalibrationRecord:
+def apply_row_interval(record: CalibrationRecord) -> CalibrationRecord:
     """Return a record whose document has the state, the interval and the verdict of its row."""
     decided = {
         "state": record.state,

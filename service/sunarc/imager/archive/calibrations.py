@@ -16,23 +16,23 @@ from sqlalchemy import ColumnElement, Connection, and_, func, insert, not_, or_,
 
 from sunarc.calibration.model.result import Calibration
 from sunarc.common.errors import InputError, NotFoundError
-from sunarc.common.findings import Finding, findings_of
+from sunarc.common.findings import Finding, parse_findings
 from sunarc.common.utc import rfc3339
 from sunarc.formats.calibration_document import from_document
 from sunarc.imager.archive.calibration_rows import (
     DAMAGED,
     SERVED,
     Documents,
+    apply_row_interval,
     clear_interval,
     end_others,
     read_document,
-    row_of,
+    record_columns,
     set_columns,
-    with_interval,
     wrong_state,
 )
 from sunarc.imager.archive.columns import copy_used, keep_used, sightings_used_by
-from sunarc.imager.archive.database.store import Database, Part, given, values_of
+from sunarc.imager.archive.database.store import Database, Part, given, read_values
 from sunarc.imager.archive.database.tables import calibration, pose_epoch, sun_point
 from sunarc.imager.archive.events import acknowledge_at, insert_event
 from sunarc.imager.archive.pictures_of_one_time import ELSEWHERE
@@ -60,7 +60,7 @@ class CalibrationStore(Part):
         super().__init__(database)
         self._documents = Documents()
         self._current: dict[str, tuple[int, CalibrationRecord | None]] = {}
-        self._parse = lru_cache(_MOST_PARSED)(self._parsed)
+        self._parse = lru_cache(_MOST_PARSED)(self._parse_stored)
 
     def add(
         self, document: Mapping[str, Any], *, parent: str | None = None, used: SunPointColumns | None = None
@@ -77,10 +77,10 @@ class CalibrationStore(Part):
         with self._database.writing() as connection:
             if self._exists(connection, record.id):
                 raise wrong_state(record.id, "is there already", remedy="give it an id of its own")
-            connection.execute(insert(calibration).values(row_of(record)))
+            connection.execute(insert(calibration).values(record_columns(record)))
             if used is not None:
                 keep_used(connection, record.camera, record.id, used)
-        return with_interval(record)
+        return apply_row_interval(record)
 
     def activate(self, calibration_id: str, *, at: datetime | None = None) -> CalibrationRecord:
         """Make a candidate the current calibration of its camera, in one step, unless the current one is pinned.
@@ -96,7 +96,7 @@ class CalibrationStore(Part):
         The current one; or the candidate as it was, where the current one is pinned.
         """
         with self._database.writing() as connection:
-            record = self._required(connection, calibration_id)
+            record = self._require_record(connection, calibration_id)
             if record.state in SERVED:
                 raise wrong_state(
                     calibration_id,
@@ -105,13 +105,13 @@ class CalibrationStore(Part):
                 )
             pinned = self._records(connection, calibration.c.camera == record.camera, calibration.c.pinned)
             if any(not one.damaged for one in pinned):
-                return with_interval(record)
+                return apply_row_interval(record)
             start = at or record.valid_from
             self._report_changed_past(connection, record, start)
             end_others(connection, record.camera, start)
             activated = replace(record, state="current", valid_from=start, valid_until=None)
             set_columns(connection, calibration_id, state="current", valid_from=start, valid_until=None)
-        return with_interval(activated)
+        return apply_row_interval(activated)
 
     def _report_changed_past(self, connection: Connection, record: CalibrationRecord, start: datetime) -> None:
         """Store an event where another pose has answered for times after `start`, until this one was made.
@@ -147,7 +147,7 @@ class CalibrationStore(Part):
         from before `since` until after `until`, or is pinned, nothing is changed: the candidate is returned as it was.
         """
         with self._database.writing() as connection:
-            record = self._required(connection, calibration_id)
+            record = self._require_record(connection, calibration_id)
             if record.state != "candidate":
                 raise wrong_state(calibration_id, f"is {record.state}", remedy="name a candidate")
             c = calibration.c
@@ -155,29 +155,29 @@ class CalibrationStore(Part):
             pinned = (c.pinned, c.valid_from < until)
             blocking = or_(and_(*around), and_(*pinned))
             if self._records(connection, c.camera == record.camera, c.state.in_(SERVED), blocking):
-                return with_interval(record)
+                return apply_row_interval(record)
             clear_interval(connection, record.camera, since, until)
             set_columns(connection, calibration_id, state="retired", valid_from=since, valid_until=until)
-            return with_interval(self._required(connection, calibration_id))
+            return apply_row_interval(self._require_record(connection, calibration_id))
 
     def retire(self, calibration_id: str, *, at: datetime) -> CalibrationRecord:
         """End the current calibration with nothing in its place."""
         with self._database.writing() as connection:
-            record = self._required(connection, calibration_id)
+            record = self._require_record(connection, calibration_id)
             answering = self._answering(connection, record.camera, None)
             if answering is None or answering.id != calibration_id:
                 raise wrong_state(calibration_id, f"is {record.state}", remedy="retire the current one")
             end_others(connection, record.camera, at)
-            return with_interval(self._required(connection, calibration_id))
+            return apply_row_interval(self._require_record(connection, calibration_id))
 
     def refuse(self, calibration_id: str, *, findings: tuple[Finding, ...]) -> CalibrationRecord:
         """Mark a candidate as refused, with the findings; it is kept."""
         with self._database.writing() as connection:
-            record = self._required(connection, calibration_id)
+            record = self._require_record(connection, calibration_id)
             if record.state != "candidate":
                 raise wrong_state(calibration_id, f"is {record.state}", remedy="refuse a candidate")
             set_columns(connection, calibration_id, state="refused", accepted=False, findings=findings)
-            return with_interval(self._required(connection, calibration_id))
+            return apply_row_interval(self._require_record(connection, calibration_id))
 
     def current(self, camera: str, *, at: datetime | None = None) -> CalibrationRecord | None:
         """Return the calibration that answers now, or the one that answers for the moment `at`; None without one.
@@ -198,7 +198,7 @@ class CalibrationStore(Part):
     def _read_answering(self, camera: str, at: datetime | None) -> CalibrationRecord | None:
         with self._database.reading() as connection:
             found = self._answering(connection, camera, at)
-        return None if found is None else with_interval(found)
+        return None if found is None else apply_row_interval(found)
 
     def current_model(self, camera: str) -> Calibration | None:
         """Return the calibration that answers now; None without one, or where another version wrote its document."""
@@ -215,7 +215,7 @@ class CalibrationStore(Part):
             raise InputError(field=found.field, problem=found.problem, remedy=found.remedy)
         return found
 
-    def _parsed(self, calibration_id: str) -> Calibration | InputError:
+    def _parse_stored(self, calibration_id: str) -> Calibration | InputError:
         document = self.get(calibration_id).document
         try:
             return from_document(document)
@@ -279,7 +279,7 @@ class CalibrationStore(Part):
     def get(self, calibration_id: str) -> CalibrationRecord:
         """Return a calibration by its id; NotFoundError for an unknown id, ConflictError for a damaged one."""
         with self._database.reading() as connection:
-            return with_interval(self._required(connection, calibration_id))
+            return apply_row_interval(self._require_record(connection, calibration_id))
 
     def find(
         self,
@@ -299,7 +299,7 @@ class CalibrationStore(Part):
         if not provisional:
             filters = [*filters, or_(c.state == "current", not_(c.id.contains(PROVISIONAL)))]
         with self._database.reading() as connection:
-            return tuple(with_interval(record) for record in self._records(connection, *filters, limit=limit))
+            return tuple(apply_row_interval(record) for record in self._records(connection, *filters, limit=limit))
 
     def _records(
         self, connection: Connection, *filters: ColumnElement[bool], limit: int | None = None
@@ -313,7 +313,7 @@ class CalibrationStore(Part):
     def _exists(self, connection: Connection, calibration_id: str) -> bool:
         return connection.scalar(select(calibration.c.id).where(calibration.c.id == calibration_id)) is not None
 
-    def _required(self, connection: Connection, calibration_id: str) -> CalibrationRecord:
+    def _require_record(self, connection: Connection, calibration_id: str) -> CalibrationRecord:
         found = self._records(connection, calibration.c.id == calibration_id)
         if not found:
             raise NotFoundError(
@@ -340,7 +340,7 @@ class CalibrationStore(Part):
         """
         decided_at = decided_at or at
         with self._database.writing() as connection:
-            record = self._required(connection, calibration_id)
+            record = self._require_record(connection, calibration_id)
             if record.state == "current":
                 raise wrong_state(calibration_id, "is current already", remedy="name another one")
             by_hand = Finding(ACTIVATED_BY_OPERATOR, {"reason": reason, "decided_at": rfc3339(decided_at)})
@@ -355,7 +355,7 @@ class CalibrationStore(Part):
             copied = reinstated.parent if record.state in SERVED else None
             found = Finding("calibration_reinstated", {"calibration": reinstated.id, "reason": reason})
             store_decision(connection, found, at=decided_at, camera=reinstated.camera, details={"copied": copied})
-        return with_interval(reinstated)
+        return apply_row_interval(reinstated)
 
     def pin(self, calibration_id: str, *, at: datetime, reason: str) -> CalibrationRecord:
         """Keep the current calibration, whatever a refit finds, until it is unpinned or another is reinstated."""
@@ -369,16 +369,16 @@ class CalibrationStore(Part):
         self, calibration_id: str, what: Literal["pinned", "unpinned"], *, at: datetime, reason: str
     ) -> CalibrationRecord:
         with self._database.writing() as connection:
-            record = self._required(connection, calibration_id)
+            record = self._require_record(connection, calibration_id)
             if record.state != "current":
                 raise wrong_state(calibration_id, f"is {record.state}", remedy="name the current one")
             changed = replace(record, pinned=what == "pinned")
             set_columns(connection, record.id, pinned=changed.pinned)
             found = Finding(f"calibration_{what}", {"calibration": record.id, "reason": reason})
             store_decision(connection, found, at=at, camera=record.camera)
-        return with_interval(changed)
+        return apply_row_interval(changed)
 
-    def sightings_of(self, calibration_id: str) -> SunPointColumns:
+    def sightings_given_to(self, calibration_id: str) -> SunPointColumns:
         """Return the sightings that a calibration was given, as they were; see `sightings_used_by`."""
         with self._database.reading() as connection:
             return sightings_used_by(connection, calibration_id)
@@ -405,7 +405,7 @@ class CalibrationStore(Part):
         InputError : it is the camera's first.
         """
         with self._database.writing() as connection:
-            wrong, before = _with_the_one_before(connection, epoch_id)
+            wrong, before = _epoch_and_previous(connection, epoch_id)
             _join(connection, wrong, before)
             acknowledge_at(connection, wrong.camera, wrong.started_at, at=at, reason=reason)
             current = self._serve_again(connection, wrong, at=at, reason=reason)
@@ -445,7 +445,7 @@ def _record(document: Mapping[str, Any], parent: str | None) -> CalibrationRecor
             valid_until=None,
             parent=parent,
             accepted=bool(verdict["accepted"]),
-            findings=findings_of(verdict),
+            findings=parse_findings(verdict),
             document=dict(document),
         )
     except (KeyError, TypeError, ValueError) as error:
@@ -463,8 +463,8 @@ def add_copy(
     connection: Connection, record: CalibrationRecord, *, at: datetime, findings: tuple[Finding, ...]
 ) -> CalibrationRecord:
     """Store a copy of a calibration that answered before, current from `at` on, with the same sightings."""
-    copy = _copy(record, id=_name_of_copy(connection, record.id), at=at, findings=findings)
-    connection.execute(insert(calibration).values(row_of(copy)))
+    copy = _copy(record, id=_copy_name(connection, record.id), at=at, findings=findings)
+    connection.execute(insert(calibration).values(record_columns(copy)))
     copy_used(connection, record.id, to=copy.id)
     return copy
 
@@ -485,7 +485,7 @@ def _copy(record: CalibrationRecord, *, id: str, at: datetime, findings: tuple[F
     )
 
 
-def _name_of_copy(connection: Connection, calibration_id: str) -> str:
+def _copy_name(connection: Connection, calibration_id: str) -> str:
     original = _COPY.sub("", calibration_id)
     copies = select(func.count()).where(calibration.c.id.startswith(f"{original}-r", autoescape=True))
     return f"{original}-r{(connection.scalar(copies) or 0) + 1}"
@@ -507,9 +507,9 @@ EPOCH_CLOSED = "epoch_closed"
 """Kind of the event of a pose epoch that was closed as wrong."""
 
 
-def _with_the_one_before(connection: Connection, epoch_id: str) -> tuple[PoseEpoch, PoseEpoch]:
+def _epoch_and_previous(connection: Connection, epoch_id: str) -> tuple[PoseEpoch, PoseEpoch]:
     epochs = pose_epoch.c
-    in_order = values_of(connection, select(pose_epoch).where(not_closed()).order_by(epochs.started_at), PoseEpoch)
+    in_order = read_values(connection, select(pose_epoch).where(not_closed()).order_by(epochs.started_at), PoseEpoch)
     camera = next((epoch.camera for epoch in in_order if epoch.id == epoch_id), None)
     if camera is None:
         raise NotFoundError(

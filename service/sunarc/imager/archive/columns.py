@@ -32,7 +32,7 @@ from sunarc.common.array_types import FloatArray, IntArray, NameArray
 from sunarc.common.errors import InputError, NotFoundError
 from sunarc.imager.archive.database import tables
 from sunarc.imager.archive.database.tables import calibration, is_number, stored_as, sun_point, used_sightings
-from sunarc.imager.archive.days import air_of_days, within_or_nan
+from sunarc.imager.archive.days import daily_air, within_or_nan
 from sunarc.imager.archive.values import SunPointColumns
 from sunarc.sky.night import SUN
 from sunarc.sky.site import PA_PER_HPA, PRESSURE_BOUNDS_PA, TEMPERATURE_BOUNDS_C
@@ -81,11 +81,11 @@ def read_columns(
     Without `others` none of them can be of another body than the sun. Without `placed` those whose image shows none
     any more are among them, at no place that means anything.
     """
-    rows = _in_order_of_time(_numbers(connection, filters, placed=placed))
+    rows = _sort_by_time(_numbers(connection, filters, placed=placed))
     # few epochs and millions of rows: a row has its epoch's beginning, of which a camera has no two alike, and no name
     epochs = tables.pose_epoch.c
     named = select(_beginning(epochs.started_at), epochs.id).where(epochs.camera == camera)
-    name_of = {int(beginning): str(name) for beginning, name in connection.execute(named)}
+    public_address = {int(beginning): str(name) for beginning, name in connection.execute(named)}
     present, epoch = np.unique(rows["epoch"], return_inverse=True)
     temperature, pressure = _air(connection, camera, rows)
     return SunPointColumns(
@@ -94,7 +94,7 @@ def read_columns(
         sigma_px=_nan_for_negative(rows["sigma"]),
         clock_error_s=_nan_for_negative(rows["clock"]),
         epoch=epoch.astype(np.int64),
-        epoch_ids=tuple(name_of[beginning] for beginning in present.tolist()),
+        epoch_ids=tuple(public_address[beginning] for beginning in present.tolist()),
         ids=rows["id"].copy(),
         temperature=temperature,
         pressure=pressure,
@@ -150,7 +150,7 @@ def _air(connection: Connection, camera: str, rows: np.ndarray[Any, Any]) -> tup
     """Return temperature (°C) and pressure (Pa), (n,) each: measured with a sighting, else on its day; else NaN."""
     temperature = within_or_nan(rows["temperature"], TEMPERATURE_BOUNDS_C)
     pressure = within_or_nan(PA_PER_HPA * rows["pressure"], PRESSURE_BOUNDS_PA)
-    of_day = air_of_days(connection, camera, rows["time"] / 1e6)
+    of_day = daily_air(connection, camera, rows["time"] / 1e6)
     return (
         np.where(np.isnan(temperature), of_day[0], temperature),
         np.where(np.isnan(pressure), of_day[1], pressure),
@@ -183,7 +183,7 @@ def _rows(connection: Connection, statement: Select[Any], columns: np.dtype[np.v
     return np.fromiter(cast("Iterable[tuple[float, ...]]", connection.execute(statement).cursor), dtype=columns)
 
 
-def _in_order_of_time(rows: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+def _sort_by_time(rows: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     """Return rows in the order of their times and keys; from an index by time they come so already."""
     if np.all(np.diff(rows["time"]) > 0):
         return rows
@@ -241,19 +241,19 @@ def sightings_used_by(connection: Connection, calibration_id: str) -> SunPointCo
             remedy="name one that a refit made, see `sunarc calibrations list`",
         )
     try:
-        ids, epochs = _unpacked(row.ids), [(str(name), int(start)) for name, start in row.epochs]
+        ids, epochs = _unpack_indices(row.ids), [(str(name), int(start)) for name, start in row.epochs]
         air = _unpacked_air(row.air, ids.size)
         measured = _unpacked_measured(row.sigma, ids.size)
     except (TypeError, ValueError, zlib.error):
-        raise _changed(calibration_id, "the list of its sightings is damaged") from None
+        raise _changed_error(calibration_id, "the list of its sightings is damaged") from None
     whole = measured is not None and len(measured) > 1
     found = read_columns(connection, row.camera, [listed(connection, ids)], placed=not whole)
     if found.ids.size != ids.size:
-        raise _changed(calibration_id, f"{ids.size - found.ids.size} of its {ids.size} sightings are gone")
-    columns = _with_measured(_as_then(found, epochs, air), measured)
+        raise _changed_error(calibration_id, f"{ids.size - found.ids.size} of its {ids.size} sightings are gone")
+    columns = _apply_measured(_as_then(found, epochs, air), measured)
     # Rows of the same keys may have been edited since: the fit would not be the same.
     if _digest(columns) != row.digest:
-        raise _changed(calibration_id, "its sightings were changed since")
+        raise _changed_error(calibration_id, "its sightings were changed since")
     return columns
 
 
@@ -277,9 +277,9 @@ def keep_used(connection: Connection, camera: str, calibration_id: str, columns:
 def keep_sigma(connection: Connection, camera: str) -> None:
     """Store with each calibration of a camera the sigma of its sightings, before the sightings' own is changed."""
     c = used_sightings.c
-    for row in connection.execute(_of_camera(camera).where(c.sigma.is_(None))).all():
+    for row in connection.execute(_select_camera(camera).where(c.sigma.is_(None))).all():
         with suppress(TypeError, ValueError, zlib.error):  # a damaged list cannot be solved again anyway
-            found = read_columns(connection, camera, [listed(connection, _unpacked(row.ids))])
+            found = read_columns(connection, camera, [listed(connection, _unpack_indices(row.ids))])
             kept = update(used_sightings).where(c.calibration == row.calibration)
             connection.execute(kept.values(sigma=_packed_rows(found.sigma_px)))
 
@@ -289,15 +289,15 @@ def keep_measured(connection: Connection, camera: str, changing: Sequence[Column
     ids = np.fromiter(connection.scalars(select(sun_point.c.id).where(*changing)), dtype=np.int64)
     if ids.size == 0:
         return
-    for row in connection.execute(_of_camera(camera)).all():
+    for row in connection.execute(_select_camera(camera)).all():
         with suppress(InputError, TypeError, ValueError, zlib.error):  # what is damaged cannot be solved again anyway
-            if np.isin(ids, _unpacked(row.ids)).any():
+            if np.isin(ids, _unpack_indices(row.ids)).any():
                 measured = _packed_measured(sightings_used_by(connection, row.calibration))
                 kept = update(used_sightings).where(used_sightings.c.calibration == row.calibration)
                 connection.execute(kept.values(sigma=measured))
 
 
-def _of_camera(camera: str) -> Select[tuple[str, bytes]]:
+def _select_camera(camera: str) -> Select[tuple[str, bytes]]:
     c = used_sightings.c
     used = select(c.calibration, c.ids).join(calibration, calibration.c.id == c.calibration)
     return used.where(calibration.c.camera == camera)
@@ -328,7 +328,7 @@ def _packed(ids: IntArray) -> bytes:
     return zlib.compress(np.diff(ids, prepend=0).astype("<i8").tobytes(), 9)
 
 
-def _unpacked(packed: bytes) -> IntArray:
+def _unpack_indices(packed: bytes) -> IntArray:
     return np.cumsum(np.frombuffer(zlib.decompress(packed), dtype="<i8")).astype(np.int64)
 
 
@@ -363,7 +363,7 @@ def _unpacked_rows(packed: bytes) -> FloatArray:
     return np.frombuffer(zlib.decompress(packed), dtype="<f8").astype(np.float64)
 
 
-def _with_measured(columns: SunPointColumns, measured: FloatArray | None) -> SunPointColumns:
+def _apply_measured(columns: SunPointColumns, measured: FloatArray | None) -> SunPointColumns:
     if measured is None:
         return columns
     if len(measured) == 1:
@@ -379,7 +379,7 @@ def _digest(columns: SunPointColumns) -> str:
     return digest.hexdigest()
 
 
-def _changed(calibration_id: str, problem: str) -> InputError:
+def _changed_error(calibration_id: str, problem: str) -> InputError:
     return InputError(
         field=f"calibration {calibration_id}",
         problem=problem,

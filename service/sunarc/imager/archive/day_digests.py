@@ -15,7 +15,7 @@ import sqlalchemy as sa
 from sunarc.common.findings import from_json
 from sunarc.common.utc import to_microseconds
 from sunarc.imager.archive.database import tables
-from sunarc.imager.archive.feed_rows import FED, columns_of, plain_type
+from sunarc.imager.archive.feed_rows import FED, plain_type, sent_columns
 from sunarc.imager.runtime.json_fields import Returned, described
 
 LEAST_KEPT = timedelta(days=90)
@@ -117,20 +117,20 @@ def _kinds_to_read(counts: Mapping[str, Mapping[date, int]], day: date) -> dict[
 def first_and_last_day(connection: sa.Connection, camera: str) -> tuple[date, date] | None:
     """Return the days of a camera's first and last sighting; None without any."""
     time = sa.type_coerce(_column("sun_point"), sa.BigInteger)
-    where = _owned("sun_point", camera), time.between(0, _us_of_date(_LATEST))
+    where = _owned("sun_point", camera), time.between(0, _date_to_us(_LATEST))
     first, last = (connection.scalar(sa.select(found(time)).where(*where)) for found in (sa.func.min, sa.func.max))
     if not isinstance(first, int) or not isinstance(last, int):
         return None
-    return _date_of_us(first), _date_of_us(last)
+    return _us_to_date(first), _us_to_date(last)
 
 
-def rows_of_day(kind: str, camera: str, day: date) -> sa.ColumnElement[bool]:
+def day_condition(kind: str, camera: str, day: date) -> sa.ColumnElement[bool]:
     """Return the condition that a row of a kind is a camera's, and of a UTC day."""
     return sa.and_(_owned(kind, camera), _between(kind, day, day + timedelta(days=1)))
 
 
 def _column(kind: str) -> sa.Column[Any]:
-    return columns_of(kind)[_DAY_COLUMNS[kind]]
+    return sent_columns(kind)[_DAY_COLUMNS[kind]]
 
 
 def _owned(kind: str, camera: str) -> sa.ColumnElement[bool]:
@@ -144,7 +144,7 @@ def _between(kind: str, first: date, end: date) -> sa.ColumnElement[bool]:
     if isinstance(column.type, tables.CalendarDate):
         return (column >= first) & (column < end)
     time = sa.type_coerce(column, sa.BigInteger)
-    return (time >= _us_of_date(first)) & (time < _us_of_date(end))
+    return (time >= _date_to_us(first)) & (time < _date_to_us(end))
 
 
 def _counts(connection: sa.Connection, kind: str, camera: str, since: date, until: date) -> dict[date, int]:
@@ -154,13 +154,13 @@ def _counts(connection: sa.Connection, kind: str, camera: str, since: date, unti
     day: sa.ColumnElement[Any] = column if dated else sa.type_coerce(column, sa.BigInteger).op("/")(_DAY_US)
     where = (_owned(kind, camera), _between(kind, since, until))
     rows = connection.execute(sa.select(day.label("of"), sa.func.count()).where(*where).group_by("of")).all()
-    found = ((one if dated else _date_of_us(int(one) * _DAY_US), n) for one, n in rows if one is not None)
+    found = ((one if dated else _us_to_date(int(one) * _DAY_US), n) for one, n in rows if one is not None)
     return {one: int(n) for one, n in found if isinstance(one, date)}
 
 
 def _digest(connection: sa.Connection, kind: str, camera: str, day: date) -> DayDigest:
-    columns = _compared(kind)
-    statement = sa.select(*(one.selected for one in columns)).where(rows_of_day(kind, camera, day))
+    columns = _compared_columns(kind)
+    statement = sa.select(*(one.selected for one in columns)).where(day_condition(kind, camera, day))
     rows = connection.execution_options(yield_per=_AT_ONCE).execute(statement)
     hashes = _hashes(rows, [one.plain for one in columns], owner=None if kind != "event" else camera)
     if kind == "event":
@@ -188,9 +188,9 @@ class _Compared(NamedTuple):
 
 
 @cache
-def _compared(kind: str) -> tuple[_Compared, ...]:
-    names = FED[kind][1] if kind == "event" else columns_of(kind)  # an event's first column is its camera
-    columns = [columns_of(kind)[name] for name in names]
+def _compared_columns(kind: str) -> tuple[_Compared, ...]:
+    names = FED[kind][1] if kind == "event" else sent_columns(kind)  # an event's first column is its camera
+    columns = [sent_columns(kind)[name] for name in names]
     left_out = {"document"}  # its checksum stands for it
     return tuple(_how(one) for one in columns if one.name not in left_out and not isinstance(one.type, tables.JsonOf))
 
@@ -226,12 +226,12 @@ def _findings(value: Any) -> list[dict[str, Any]]:  # noqa: ANN401 - whatever is
 def _finding_text(value: Any) -> Any:  # noqa: ANN401 - a damaged row has no text there
     if not isinstance(value, str) or not value or value.startswith("[{"):
         return value
-    return json.dumps([one.as_json() for one in tables.findings_of_text(value)], separators=(",", ":"))
+    return json.dumps([one.as_json() for one in tables.parse_finding_text(value)], separators=(",", ":"))
 
 
-def _us_of_date(day: date) -> int:
+def _date_to_us(day: date) -> int:
     return to_microseconds(datetime(day.year, day.month, day.day, tzinfo=UTC))
 
 
-def _date_of_us(us: int) -> date:
+def _us_to_date(us: int) -> date:
     return date(1970, 1, 1) + timedelta(microseconds=us)

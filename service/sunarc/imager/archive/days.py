@@ -17,12 +17,12 @@ from sunarc.common.array_types import FloatArray
 from sunarc.common.errors import InputError, NotFoundError
 from sunarc.common.findings import Finding, from_json
 from sunarc.imager.archive.database import tables
-from sunarc.imager.archive.database.store import Part, given, upsert, values_of
+from sunarc.imager.archive.database.store import Part, given, read_values, upsert
 from sunarc.imager.archive.database.tables import camera as cameras
 from sunarc.imager.archive.database.tables import day, day_air, night_image
 from sunarc.imager.archive.events import insert_event, log_event
-from sunarc.imager.archive.values import Day, DayAir, Event, Night, SunPoint, fields_of, unusable_night
-from sunarc.sky.days import day_of_date, solar_date, solar_days
+from sunarc.imager.archive.values import Day, DayAir, Event, Night, SunPoint, field_values, unusable_night
+from sunarc.sky.days import date_to_day, solar_date, solar_days
 from sunarc.sky.site import PA_PER_HPA, PRESSURE_BOUNDS_HPA, PRESSURE_BOUNDS_PA, TEMPERATURE_BOUNDS_C, Site
 
 
@@ -50,13 +50,13 @@ class DayStore(Part):
                     problem=f"the archive has no camera {air.camera}",
                     remedy="wait until it has answered once, or import sightings of it",
                 )
-            stored = values_of(connection, select(day_air).where(*this), DayAir)
+            stored = read_values(connection, select(day_air).where(*this), DayAir)
             if stored and _values(stored[0]) == _values(air):
                 return stored[0]
             if _values(air) == (None, None):
                 connection.execute(delete(day_air).where(*this))
             else:
-                upsert(connection, day_air, fields_of(air), key=["camera", "date"])
+                upsert(connection, day_air, field_values(air), key=["camera", "date"])
         return air
 
     def air(self, camera: str, *, since: date | None = None, until: date | None = None) -> tuple[DayAir, ...]:
@@ -64,29 +64,29 @@ class DayStore(Part):
         with self._database.reading() as connection:
             return _read(connection, camera, since=since, until=until)
 
-    def air_of(self, camera: str, points: Sequence[SunPoint]) -> tuple[FloatArray, FloatArray]:
+    def sighting_air(self, camera: str, points: Sequence[SunPoint]) -> tuple[FloatArray, FloatArray]:
         """Return temperature (°C) and pressure (Pa) at sightings, (n,) each: their own, else their day's, else NaN."""
         unix_s = np.array([point.time.timestamp() for point in points], dtype=np.float64)
         with self._database.reading() as connection:
-            of_day = air_of_days(connection, camera, unix_s)
+            of_day = daily_air(connection, camera, unix_s)
         measured = _numbers(points)
         temperature, pressure = (np.where(np.isnan(own), day, own) for own, day in zip(measured, of_day, strict=True))
         return temperature, pressure
 
-    def site_with_air_of(self, camera: str, site: Site, day: date) -> Site:
+    def site_in_measured_air(self, camera: str, site: Site, day: date) -> Site:
         """Return a camera's site with the measured air of a solar day; with its own where nothing was measured."""
         with self._database.reading() as connection:
-            found = values_of(
+            found = read_values(
                 connection, select(day_air).where(day_air.c.camera == camera, day_air.c.date == day), DayAir
             )
         if not found:
             return site
         temperature, pressure = _numbers(found)
-        return site.with_air(temperature=_or_none(temperature[0]), pressure=_or_none(pressure[0]))
+        return site.replace_air(temperature=_or_none(temperature[0]), pressure=_or_none(pressure[0]))
 
     def site_with_air_at(self, camera: str, site: Site, time: datetime) -> Site:
-        """Return a camera's site in the measured air of the solar day of a moment, as `site_with_air_of`."""
-        return self.site_with_air_of(camera, site, solar_date(time.timestamp(), longitude=site.longitude))
+        """Return a camera's site in the measured air of the solar day of a moment, as `site_in_measured_air`."""
+        return self.site_in_measured_air(camera, site, solar_date(time.timestamp(), longitude=site.longitude))
 
     def count(self, camera: str) -> Mapping[str, int]:
         """Return how many days have each verdict."""
@@ -95,7 +95,7 @@ class DayStore(Part):
     def save(self, day: Day) -> None:
         """Write a day's verdict, in place of an earlier one."""
         with self._database.writing() as connection:
-            upsert(connection, tables.day, fields_of(day), key=["camera", "date"])
+            upsert(connection, tables.day, field_values(day), key=["camera", "date"])
 
     def find(
         self, camera: str, *, since: date | None = None, until: date | None = None, limit: int | None = None
@@ -106,7 +106,7 @@ class DayStore(Part):
         return self._database.values(select(tables.day).where(*filters).order_by(c.date.desc()).limit(limit), Day)
 
 
-def air_of_days(connection: Connection, camera: str, unix_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+def daily_air(connection: Connection, camera: str, unix_s: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return temperature (°C) and pressure (Pa) of the solar days of times (n,), (n,) each; NaN where not measured."""
     unknown = np.full((2, unix_s.size), np.nan)
     longitude = connection.scalar(select(cameras.c.longitude).where(cameras.c.name == camera))
@@ -114,7 +114,7 @@ def air_of_days(connection: Connection, camera: str, unix_s: FloatArray) -> tupl
     if not of_days or longitude is None:
         return unknown[0], unknown[1]
     day = solar_days(unix_s, longitude=longitude)
-    days = np.array([day_of_date(air.date) for air in of_days])
+    days = np.array([date_to_day(air.date) for air in of_days])
     # A day after the last known one would be beyond the end; it differs from the last, and is NaN below.
     index = np.minimum(np.searchsorted(days, day), days.size - 1)
     temperature, pressure = _numbers(of_days)
@@ -132,7 +132,7 @@ def _read(
 ) -> tuple[DayAir, ...]:
     c = day_air.c
     filters = given((c.camera.__eq__, camera), (c.date.__ge__, since), (c.date.__lt__, until))
-    return values_of(connection, select(day_air).where(*filters).order_by(c.date), DayAir)
+    return read_values(connection, select(day_air).where(*filters).order_by(c.date), DayAir)
 
 
 def _numbers(measured: Sequence[DayAir | SunPoint]) -> tuple[FloatArray, FloatArray]:
@@ -215,7 +215,7 @@ class NightStore(Part):
     def add_image(self, camera: str, image: NightImage, *, keep_since: datetime) -> None:
         """Store an image of the night, and remove those of its kind from before `keep_since`."""
         c = night_image.c
-        row = {"camera": camera, "n_tries": 0, **fields_of(image)}
+        row = {"camera": camera, "n_tries": 0, **field_values(image)}
         with self._database.writing(camera=camera) as connection:
             upsert(connection, night_image, row, key=["camera", "time", "kind"])
             connection.execute(delete(night_image).where(c.camera == camera, c.kind == image.kind, c.time < keep_since))
@@ -243,7 +243,7 @@ class NightStore(Part):
         drops_images : whether the stored images were those of this night, and are removed.
         """
         with self._database.writing() as connection:
-            upsert(connection, tables.night, row_of_night(night), key=["camera", "date"])
+            upsert(connection, tables.night, night_columns(night), key=["camera", "date"])
             stored = None if event is None else insert_event(connection, event)
             if drops_images:
                 _drop_images(connection, night.camera)
@@ -280,7 +280,7 @@ def _drop_images(connection: Connection, camera: str) -> None:
     connection.execute(delete(night_image).where(night_image.c.camera == camera))
 
 
-def row_of_night(night: Night) -> dict[str, Any]:
+def night_columns(night: Night) -> dict[str, Any]:
     """Return the columns of a night."""
     return {one.name: getattr(night, one.name) for one in fields(night)}
 
@@ -299,7 +299,7 @@ def _night(row: RowMapping) -> Night | None:
     )
 
 
-def night_of_event(camera: str, time: datetime, details: Mapping[str, Any]) -> Night | None:
+def event_night(camera: str, time: datetime, details: Mapping[str, Any]) -> Night | None:
     """Return the night that the event of an imager before revision 0017 is of; None where it names none.
 
     What such an event leaves out is not known, or 0 of what is counted; without its images the night is damaged.
@@ -316,7 +316,7 @@ def night_of_event(camera: str, time: datetime, details: Mapping[str, Any]) -> N
     except ValueError:
         return None
     of_night = partial(unusable_night, camera, evening, decided_at=time)
-    blank = row_of_night(of_night(findings=(), n_images=0))
+    blank = night_columns(of_night(findings=(), n_images=0))
     values = (
         blank
         | {name: value for name, value in details.items() if name in blank}

@@ -14,7 +14,7 @@ from sunarc.common.errors import ConflictError, NotFoundError
 from sunarc.common.findings import Finding
 from sunarc.common.utc import rfc3339
 from sunarc.imager.archive.database import tables
-from sunarc.imager.archive.database.store import Part, given, upsert, values_of
+from sunarc.imager.archive.database.store import Part, given, read_values, upsert
 from sunarc.imager.archive.database.tables import condition, housekeeping, refit
 from sunarc.imager.archive.values import (
     ACKNOWLEDGED_AT,
@@ -25,7 +25,7 @@ from sunarc.imager.archive.values import (
     HousekeepingStep,
     Refit,
     RefitState,
-    fields_of,
+    field_values,
     merged,
 )
 
@@ -43,7 +43,7 @@ class RefitStore(Part):
     def add(self, refit: Refit) -> Refit:
         """Write down that a refit was asked for, or has begun."""
         with self._database.writing() as connection:
-            connection.execute(insert(tables.refit).values(fields_of(refit)))
+            connection.execute(insert(tables.refit).values(field_values(refit)))
         return refit
 
     def request(self, refit: Refit) -> Refit:
@@ -56,10 +56,10 @@ class RefitStore(Part):
         waiting = select(tables.refit).where(c.camera == refit.camera, c.state == "requested", c.finished_at.is_(None))
         # Read under the write lock: two requests at once would otherwise both find nothing.
         with self._database.writing() as connection:
-            found = values_of(connection, waiting.order_by(c.requested_at, c.id).limit(1), Refit)
+            found = read_values(connection, waiting.order_by(c.requested_at, c.id).limit(1), Refit)
             if found:
                 return found[0]
-            connection.execute(insert(tables.refit).values(fields_of(refit)))
+            connection.execute(insert(tables.refit).values(field_values(refit)))
         return refit
 
     def start(self, refit_id: str, *, started_at: datetime) -> Refit:
@@ -107,7 +107,7 @@ class RefitStore(Part):
         this_refit = tables.refit.c.id == refit_id
         with self._database.writing() as connection:
             connection.execute(update(tables.refit).where(this_refit).values(**columns))
-            return values_of(connection, select(tables.refit).where(this_refit), Refit)[0]
+            return read_values(connection, select(tables.refit).where(this_refit), Refit)[0]
 
 
 class EventStore(Part):
@@ -193,7 +193,7 @@ class EventStore(Part):
 def _event(connection: Connection, camera: str, event_id: int) -> Event:
     c = tables.event.c
     of_camera = (c.camera == camera) | c.camera.is_(None)
-    found = values_of(connection, select(tables.event).where(c.id == event_id, of_camera), Event)
+    found = read_values(connection, select(tables.event).where(c.id == event_id, of_camera), Event)
     if not found:
         problem = f"there is no event {event_id} of camera {camera}"
         raise NotFoundError(field="id", problem=problem, remedy="see /v1/events for those that there are")
@@ -209,7 +209,7 @@ def _acknowledge(connection: Connection, event: Event, *, at: datetime, reason: 
 def acknowledge_at(connection: Connection, camera: str, time: datetime, *, at: datetime, reason: str) -> None:
     """Acknowledge the events of a camera and a time that are to be, in a transaction."""
     c = tables.event.c
-    for event in values_of(connection, select(tables.event).where(c.camera == camera, c.time == time), Event):
+    for event in read_values(connection, select(tables.event).where(c.camera == camera, c.time == time), Event):
         if event.to_acknowledge:
             _acknowledge(connection, event, at=at, reason=reason)
 
@@ -222,7 +222,7 @@ def log_event(stored: Event) -> None:
 
 def insert_event(connection: Connection, event: Event) -> Event:
     """Store an event in a transaction, and return it with its id."""
-    row = fields_of(event)
+    row = field_values(event)
     row.pop("id")
     key = connection.execute(insert(tables.event).values(row)).inserted_primary_key
     return replace(event, id=None if key is None else int(key[0]))
@@ -286,10 +286,13 @@ class HousekeepingStore(Part):
 def _add(connection: Connection, camera: str, step: HousekeepingStep, measured: Housekeeping) -> None:
     c, time = housekeeping.c, _begin(measured.time, step)
     this = (c.camera == camera, c.step == step, c.time == time)
-    stored = values_of(connection, select(*_COLUMNS).where(*this), Housekeeping)
+    stored = read_values(connection, select(*_COLUMNS).where(*this), Housekeeping)
     total = merged(measured, stored[0] if stored else Housekeeping(time=time), time=time)
     upsert(
-        connection, housekeeping, {"camera": camera, "step": step, **fields_of(total)}, key=["camera", "step", "time"]
+        connection,
+        housekeeping,
+        {"camera": camera, "step": step, **field_values(total)},
+        key=["camera", "step", "time"],
     )
 
 

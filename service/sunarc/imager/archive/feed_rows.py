@@ -53,7 +53,7 @@ _NUMBERED = frozenset({"sun_point", "event"})
 
 
 @cache
-def columns_of(kind: str) -> Mapping[str, Column[Any]]:
+def sent_columns(kind: str) -> Mapping[str, Column[Any]]:
     """Return the columns that are sent of a table, by their names."""
     columns = FED[kind][0].columns
     return {column.name: column for column in columns if not (kind in _NUMBERED and column.name == "id")}

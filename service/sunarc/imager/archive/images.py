@@ -110,7 +110,7 @@ class ImageStore:
             except OSError as error:
                 if error.errno in _FULL and self._remove_oldest():
                     continue
-                why = "no inodes are left" if self._out_of_files() else error.strerror or str(error)
+                why = "no inodes are left" if self._lacks_inodes() else error.strerror or str(error)
                 raise OutsideError(f"image {target.name} could not be written: {why}") from error
             with self._lock:
                 self._bytes = None if self._bytes is None else self._bytes + len(encoded)
@@ -212,7 +212,7 @@ class ImageStore:
             oldest = self._first()
             return DiskUsage(
                 free_bytes=self._free(),
-                out_of_files=self._out_of_files(),
+                out_of_files=self._lacks_inodes(),
                 images_bytes=self._bytes,
                 oldest_image_at=None if oldest is None else _captured_at(oldest),
             )
@@ -236,7 +236,7 @@ class ImageStore:
     def _free(self) -> int:
         return self._free_bytes(self._existing_folder())
 
-    def _out_of_files(self) -> bool:
+    def _lacks_inodes(self) -> bool:
         """Return whether the file system can hold no more files; some (btrfs) have no such limit and say 0 of 0."""
         try:
             found = os.statvfs(self._existing_folder())

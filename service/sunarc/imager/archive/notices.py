@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple
 from pydantic import TypeAdapter
 from sqlalchemy import ColumnElement, Connection, delete, func, insert, select, update
 
-from sunarc.imager.archive.database.store import Part, insert_new, upsert, values_of
+from sunarc.imager.archive.database.store import Part, insert_new, read_values, upsert
 from sunarc.imager.archive.database.tables import calibration, event, notice, notice_position, notice_sink
 from sunarc.imager.archive.values import Event
 
@@ -229,10 +229,10 @@ def _position(connection: Connection, camera: str) -> _NoticePosition | None:
 
 
 def _last_event(connection: Connection, camera: str) -> int:
-    return int(connection.scalar(select(func.max(event.c.id)).where(_of_camera(camera))) or 0)
+    return int(connection.scalar(select(func.max(event.c.id)).where(_camera_condition(camera))) or 0)
 
 
-def _of_camera(camera: str) -> ColumnElement[bool]:
+def _camera_condition(camera: str) -> ColumnElement[bool]:
     return (event.c.camera == camera) | event.c.camera.is_(None)
 
 
@@ -246,8 +246,8 @@ def _news(
 ) -> tuple[list[dict[str, Any]], _NoticePosition]:
     """Return the rows of new notices, and the position after them."""
     camera, conditions, now, clears = look
-    following = select(event).where(_of_camera(camera), event.c.id > position.event).order_by(event.c.id)
-    events = values_of(connection, following.limit(_MOST_EVENTS), Event)
+    following = select(event).where(_camera_condition(camera), event.c.id > position.event).order_by(event.c.id)
+    events = read_values(connection, following.limit(_MOST_EVENTS), Event)
     times = {one.id: one.time for one in events}
     rows: list[dict[str, Any]] = []
     reached = position

@@ -24,7 +24,7 @@ from sunarc.detection.values import Detection
 from sunarc.imager.archive.archive import CameraArchive
 from sunarc.imager.archive.images import write_atomically
 from sunarc.imager.archive.pictures_of_one_time import ELSEWHERE
-from sunarc.imaging.horizon import HorizonProfile, obstructions_of
+from sunarc.imaging.horizon import HorizonProfile, find_obstructions
 from sunarc.imaging.obstructions import (
     HIDDEN,
     SOILED,
@@ -33,12 +33,12 @@ from sunarc.imaging.obstructions import (
     ObstructionMask,
     ObstructionSums,
     States,
+    add_star_votes,
     carried_over,
     cell_grid,
     mask_changes,
     no_sums,
     updated_sums,
-    with_stars,
 )
 from sunarc.sky.sun import sun_directions
 
@@ -117,10 +117,10 @@ class ObstructionLearner:
         return replace(detection, accepted=False, verdict="obstructed", findings=(Finding("sun_behind_obstruction"),))
 
     def take_stars(self, named: FloatArray, missed: FloatArray) -> None:
-        """Use the stars of a night, see `with_stars`."""
+        """Use the stars of a night, see `add_star_votes`."""
         with self._lock:
             if self._sums is not None and self._grid is not None:
-                self._sums = with_stars(self._sums, self._grid, named=named, missed=missed)
+                self._sums = add_star_votes(self._sums, self._grid, named=named, missed=missed)
 
     def take(self, image: Image, time: datetime) -> None:
         """Use an image, unless one of the last minutes was used; images that cannot be used or written are left out."""
@@ -154,7 +154,7 @@ class ObstructionLearner:
         sums = self._sums
         if sums is None:
             calibration_before, sums, self._states = _read(self._path)
-            before = self._known(calibration_before)
+            before = self._find_known(calibration_before)
         else:
             before = self._model
         if sums is None or before is None or sums.log_odds.shape != grid.shape:
@@ -163,7 +163,7 @@ class ObstructionLearner:
             sums, self._learned, self._states = carried_over(sums, before.camera, grid), None, None
         self._sums, self._grid, self._model, self._calibration = sums, grid, model, calibration
 
-    def _known(self, calibration: str) -> Calibration | None:
+    def _find_known(self, calibration: str) -> Calibration | None:
         try:
             return self._camera.archive.calibrations.model(calibration) if calibration else None
         except InputError:
@@ -176,7 +176,7 @@ class ObstructionLearner:
             return
         self._written_s = time.timestamp()
         if sums.is_ready:
-            before, found = self._learned, obstructions_of(sums, grid, sigma_deg=model.sky_rms_deg)
+            before, found = self._learned, find_obstructions(sums, grid, sigma_deg=model.sky_rms_deg)
             self._learned = LearnedObstructions(self._calibration, self._pose_epoch, time, *found)
             if before is None:
                 self._set_aside_before(time)

@@ -15,8 +15,8 @@ from sunarc.common.errors import ConfigurationError
 from sunarc.imager.archive.database.connections import json_text, parsed_json
 from sunarc.imager.archive.database.store import Part
 from sunarc.imager.archive.database.tables import outbox, outbox_position
-from sunarc.imager.archive.day_digests import DayDigests, day_digests, first_and_last_day, rows_of_day
-from sunarc.imager.archive.feed_rows import FED, REMOVED, STATUS, FeedRow, columns_of, from_trigger, plain_type
+from sunarc.imager.archive.day_digests import DayDigests, day_condition, day_digests, first_and_last_day
+from sunarc.imager.archive.feed_rows import FED, REMOVED, STATUS, FeedRow, from_trigger, plain_type, sent_columns
 
 _CHANGES = ("insert", "update", "delete")
 _TRIGGERS = "SELECT name, sql FROM sqlite_master WHERE type = 'trigger' AND name LIKE 'outbox!_%' ESCAPE '!'"
@@ -56,10 +56,10 @@ class Outbox(Part):
             raise ConfigurationError("hub.url: only an archive in SQLite is sent to a hub; unset `store` or `hub.url`")
         wanted = dict(outbox_triggers())
         with self._database.reading() as connection:
-            if _begun(connection) and _triggers(connection) == wanted:
+            if _is_begun(connection) and _triggers(connection) == wanted:
                 return False
         with self._database.writing() as connection:
-            present, begun = _triggers(connection), _begun(connection)
+            present, begun = _triggers(connection), _is_begun(connection)
             new = [kind for kind in FED if not present.keys() & _names(kind)]
             others = {name: sql for name, sql in wanted.items() if not any(name in _names(kind) for kind in new)}
             if begun and present and present == others:
@@ -89,7 +89,7 @@ class Outbox(Part):
     def enabled(self) -> bool:
         """Return whether changes are written to the outbox."""
         with self._database.reading() as connection:
-            return _begun(connection)
+            return _is_begun(connection)
 
     def position(self) -> OutboxPosition:
         """Return how far the outbox came; it has to be enabled."""
@@ -105,7 +105,7 @@ class Outbox(Part):
         """Return the next rows in their order: at most so many, and so many bytes, but at least one."""
         with self._database.reading() as connection:
             stored = _next(connection, most, most_bytes)
-        return _parsed(stored)
+        return _parse_rows(stored)
 
     def rows_to_send(self, position: OutboxPosition, *, most: int, most_bytes: int) -> tuple[FeedRow, ...] | None:
         """Return the next rows as `rows` does, and note that the hub may have them.
@@ -126,7 +126,7 @@ class Outbox(Part):
                 connection.execute(
                     sa.update(outbox_position).where(c.sent < stored[-1].seq).values(sent=stored[-1].seq)
                 )
-        return _parsed(stored)
+        return _parse_rows(stored)
 
     def queue_status(self, status: Mapping[str, Any]) -> None:
         """Queue the imager's own state, in place of one that was not sent yet."""
@@ -176,7 +176,7 @@ class Outbox(Part):
             if wanted:
                 _queue(connection, ("camera", "pose_epoch"))
             for kind, day in wanted:
-                _queue(connection, (kind,), rows_of_day(kind, camera, day))
+                _queue(connection, (kind,), day_condition(kind, camera, day))
             return (connection.scalar(sa.select(sa.func.count()).select_from(outbox)) or 0) - before
 
     def begin_installation(self, installation: str) -> None:
@@ -186,7 +186,7 @@ class Outbox(Part):
             _set_position(connection, OutboxPosition(installation=installation, committed=0, sent=0))
 
 
-def _begun(connection: sa.Connection) -> bool:
+def _is_begun(connection: sa.Connection) -> bool:
     return connection.scalar(sa.select(sa.func.count()).select_from(outbox_position)) == 1
 
 
@@ -210,7 +210,7 @@ def _next(connection: sa.Connection, most: int, most_bytes: int) -> list[sa.Row[
     return found
 
 
-def _parsed(stored: Iterable[sa.Row[Any]]) -> tuple[FeedRow, ...]:
+def _parse_rows(stored: Iterable[sa.Row[Any]]) -> tuple[FeedRow, ...]:
     rows: list[FeedRow] = []
     for row in stored:
         values = parsed_json(row.data) or {}
@@ -247,7 +247,9 @@ def _queue(connection: sa.Connection, kinds: Iterable[str], where: sa.ColumnElem
 def outbox_triggers() -> Iterator[tuple[str, str]]:
     """Yield the triggers that queue changed rows, each with its name and its SQL."""
     for kind, (_, key) in FED.items():
-        changed = " OR ".join(f'OLD."{column.name}" IS NOT NEW."{column.name}"' for column in columns_of(kind).values())
+        changed = " OR ".join(
+            f'OLD."{column.name}" IS NOT NEW."{column.name}"' for column in sent_columns(kind).values()
+        )
         moved = " OR ".join(f'OLD."{name}" IS NOT NEW."{name}"' for name in key)
         stored = f"INSERT INTO outbox (kind, data) VALUES ('{kind}', {_object(kind, 'NEW')});"  # noqa: S608 - constants
         removed = f"INSERT INTO outbox (kind, data) SELECT '{kind}{REMOVED}', {_object(kind, 'OLD', only=key)}"
@@ -267,7 +269,7 @@ def _names(kind: str) -> set[str]:
 
 def _object(kind: str, row: str, *, only: tuple[str, ...] | None = None) -> str:
     """Return the expression of a row's JSON object."""
-    columns = [column for column in columns_of(kind).values() if only is None or column.name in only]
+    columns = [column for column in sent_columns(kind).values() if only is None or column.name in only]
     pairs = chain.from_iterable((f"'{column.name}'", _expression(column, f'"{row}"')) for column in columns)
     return f"json_object({', '.join(pairs)})"
 

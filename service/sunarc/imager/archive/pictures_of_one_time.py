@@ -66,7 +66,7 @@ def judge_pictures(connection: Connection, camera: str, times: Collection[dateti
 
 
 def _judge(connection: Connection, folders: Sequence[Sequence[Row[Any]]]) -> dict[str, Finding]:
-    suns = [[sun for row in rows if (sun := _sun_of(row)) is not None] for rows in folders]
+    suns = [[sun for row in rows if (sun := _row_sun(row)) is not None] for rows in folders]
     every = [sun for of_folder in suns for sun in of_folder]
     if not every:
         return {}
@@ -84,7 +84,7 @@ def _judge(connection: Connection, folders: Sequence[Sequence[Row[Any]]]) -> dic
     return found
 
 
-def _sun_of(row: Row[Any]) -> _Sun | None:
+def _row_sun(row: Row[Any]) -> _Sun | None:
     aside: Mapping[str, Any] = next((one.data for one in row.findings if one.code == TWO_PICTURES), {})
     has_sun = (row.accepted or row.verdict == ELSEWHERE or aside) and row.x_px is not None and row.y_px is not None
     if not has_sun:

@@ -8,9 +8,9 @@ from datetime import datetime
 
 from sqlalchemy import delete, func, or_, select
 
-from sunarc.imager.archive.database.store import Part, given, upsert, values_of
+from sunarc.imager.archive.database.store import Part, given, read_values, upsert
 from sunarc.imager.archive.database.tables import seen_file
-from sunarc.imager.archive.values import fields_of
+from sunarc.imager.archive.values import field_values
 
 _AT_ONCE = 500
 """Names in one statement: SQLite takes some thousand parameters."""
@@ -52,7 +52,7 @@ class SeenFileStore(Part):
         c = seen_file.c
         dated = select(seen_file).where(c.camera == camera, c.time.is_not(None)).order_by(c.time.desc()).limit(limit)
         with self._database.reading() as connection:
-            return values_of(connection, dated, SeenFile)
+            return read_values(connection, dated, SeenFile)
 
     def used(self, camera: str, *, since: datetime | None, until: datetime | None, limit: int) -> tuple[SeenFile, ...]:
         """Return the files that were read with since <= time < until of their image, the newest first."""
@@ -60,14 +60,14 @@ class SeenFileStore(Part):
         filters = given((c.time.__ge__, since), (c.time.__lt__, until))
         dated = select(seen_file).where(c.camera == camera, c.time.is_not(None), c.code.is_(None), *filters)
         with self._database.reading() as connection:
-            return values_of(connection, dated.order_by(c.time.desc(), c.file).limit(limit), SeenFile)
+            return read_values(connection, dated.order_by(c.time.desc(), c.file).limit(limit), SeenFile)
 
     def at(self, camera: str, time: datetime) -> tuple[SeenFile, ...]:
         """Return the files with an image of a moment, by name."""
         c = seen_file.c
         with self._database.reading() as connection:
             found = select(seen_file).where(c.camera == camera, c.time == time).order_by(c.file)
-            return values_of(connection, found, SeenFile)
+            return read_values(connection, found, SeenFile)
 
     def refused(self, camera: str) -> Mapping[str, int]:
         """Return how many files were left out, by the code of the finding why."""
@@ -86,7 +86,7 @@ class SeenFileStore(Part):
         """Write files down, each in place of its former record."""
         with self._database.writing() as connection:
             for one in files:
-                upsert(connection, seen_file, fields_of(one), key=["camera", "file"])
+                upsert(connection, seen_file, field_values(one), key=["camera", "file"])
 
     def forget(self, camera: str, files: Collection[str], *, before: datetime) -> None:
         """Forget files that are gone from the folder, but for those with an image since `before`."""

@@ -41,7 +41,7 @@ from sunarc.imager.archive.columns import (
     read_times,
 )
 from sunarc.imager.archive.database import tables
-from sunarc.imager.archive.database.store import Database, Part, given, insert_new, upsert, values_of
+from sunarc.imager.archive.database.store import Database, Part, given, insert_new, read_values, upsert
 from sunarc.imager.archive.database.tables import sun_point
 from sunarc.imager.archive.events import insert_event
 from sunarc.imager.archive.pictures_of_one_time import ELSEWHERE, judge_pictures
@@ -52,7 +52,7 @@ from sunarc.imager.archive.values import (
     SightingCounts,
     SunPoint,
     SunPointColumns,
-    fields_of,
+    field_values,
 )
 from sunarc.sky.days import SECONDS_PER_DEGREE, day_bounds_unix_s, solar_date
 from sunarc.sky.night import SUN
@@ -145,7 +145,7 @@ class CameraStore(Part):
     def save(self, record: CameraRecord) -> None:
         """Save a camera, in place of the stored one of the same name."""
         with self._database.writing() as connection:
-            upsert(connection, tables.camera, fields_of(record), key=["name"])
+            upsert(connection, tables.camera, field_values(record), key=["name"])
         self._saved = {**self._saved, record.name: record}
 
     def saved(self) -> tuple[CameraRecord, ...]:
@@ -172,7 +172,7 @@ class EpochStore(Part):
         # Read under the write lock, so that no other thread opens an epoch between the check and the row.
         with self._database.writing() as connection:
             statement = select(tables.pose_epoch).where(epochs.camera == camera)
-            before = values_of(connection, statement, PoseEpoch)
+            before = read_values(connection, statement, PoseEpoch)
             # a closed epoch has no duration, but its beginning stays unique
             if any(e.started_at >= at for e in before if e.ended_at != e.started_at or e.started_at == at):
                 raise InputError(
@@ -181,7 +181,7 @@ class EpochStore(Part):
             epoch = PoseEpoch(id=_next_id(connection, camera), camera=camera, started_at=at, reason=reason)
             closing = update(tables.pose_epoch).where(epochs.camera == camera, epochs.ended_at.is_(None))
             connection.execute(closing.values(ended_at=at))
-            connection.execute(insert(tables.pose_epoch).values(fields_of(epoch)))
+            connection.execute(insert(tables.pose_epoch).values(field_values(epoch)))
             moving = update(sun_point).where(sun_point.c.camera == camera, sun_point.c.time >= at)
             connection.execute(moving.values(pose_epoch=epoch.id))
         return epoch
@@ -199,7 +199,7 @@ class EpochStore(Part):
         epochs = tables.pose_epoch.c
         with self._database.writing() as connection:
             statement = select(tables.pose_epoch).where(epochs.camera == camera).order_by(epochs.started_at)
-            every = values_of(connection, statement, PoseEpoch)
+            every = read_values(connection, statement, PoseEpoch)
             begun = [
                 epoch for epoch in every if epoch.started_at < at and (epoch.ended_at is None or at < epoch.ended_at)
             ]
@@ -217,8 +217,8 @@ class EpochStore(Part):
             earlier = replace(divided, id=new if keeps_later else divided.id, ended_at=at)
             later = replace(divided, id=divided.id if keeps_later else new, started_at=at, reason=reason)
             remaining, added = (later, earlier) if keeps_later else (earlier, later)
-            connection.execute(update(tables.pose_epoch).where(epochs.id == divided.id).values(fields_of(remaining)))
-            connection.execute(insert(tables.pose_epoch).values(fields_of(added)))
+            connection.execute(update(tables.pose_epoch).where(epochs.id == divided.id).values(field_values(remaining)))
+            connection.execute(insert(tables.pose_epoch).values(field_values(added)))
             side = sun_point.c.time < at if keeps_later else sun_point.c.time >= at
             moving = update(sun_point).where(sun_point.c.camera == camera, sun_point.c.pose_epoch == divided.id, side)
             connection.execute(moving.values(pose_epoch=new))
@@ -250,7 +250,7 @@ def _epoch_at(connection: Connection, camera: str, at: datetime, reason: str) ->
     known = _known_epochs(connection, camera)
     if not known:
         first = PoseEpoch(id=f"{camera}-1", camera=camera, started_at=at, reason=reason)
-        connection.execute(insert(tables.pose_epoch).values(fields_of(first)))
+        connection.execute(insert(tables.pose_epoch).values(field_values(first)))
         return first
     if at < known[0].started_at:
         connection.execute(update(tables.pose_epoch).where(epochs.id == known[0].id).values(started_at=at))
@@ -260,7 +260,7 @@ def _epoch_at(connection: Connection, camera: str, at: datetime, reason: str) ->
 
 def _known_epochs(connection: Connection, camera: str) -> tuple[PoseEpoch, ...]:
     statement = select(tables.pose_epoch).where(tables.pose_epoch.c.camera == camera, not_closed())
-    return values_of(connection, statement.order_by(tables.pose_epoch.c.started_at), PoseEpoch)
+    return read_values(connection, statement.order_by(tables.pose_epoch.c.started_at), PoseEpoch)
 
 
 def _newest_begun(epochs: Sequence[PoseEpoch], at: datetime) -> PoseEpoch:
@@ -291,7 +291,7 @@ class SightingStore(Part):
     first one, where they open it.
     """
 
-    def of_files(self, camera: str, *, times_us: Container[int]) -> list[FileSighting]:
+    def file_sightings(self, camera: str, *, times_us: Container[int]) -> list[FileSighting]:
         """Return the stored sightings of the sun at the given times, microseconds since 1970-01-01 UTC."""
         c = sun_point.c
         names = [name for name in FileSighting._fields if name != "time_us"]
@@ -305,7 +305,7 @@ class SightingStore(Part):
         """Give sightings of the sun in image files the names and folders of other keys."""
         with self._database.writing() as connection:
             for former, new in renamed.items():
-                change = update(sun_point).where(*_of_image(camera, former))
+                change = update(sun_point).where(*_image_conditions(camera, former))
                 connection.execute(change.values(file=new.file, folder=new.folder))
 
     def replace(self, points: Iterable[SunPoint], *, first_epoch: str = FIRST_SIGHTING) -> dict[str, Finding]:
@@ -329,7 +329,7 @@ class SightingStore(Part):
             for point in _in_epochs(connection, kept, first_epoch):
                 if point.folder:
                     _name_folder(connection, point)
-                upsert(connection, sun_point, fields_of(point), key=_KEY)
+                upsert(connection, sun_point, field_values(point), key=_KEY)
                 if point.accepted or (point.verdict == "in_stack" and point.time in stacked):
                     _set_others_aside(connection, point)
             for camera in {point.camera for point in kept if point.folder}:
@@ -353,17 +353,17 @@ class SightingStore(Part):
             before = int(connection.scalar(count) or 0)
             connection.execute(aside.values(accepted=False, verdict="set_aside", findings=_NOT_NAMED_AGAIN))
             for point in _in_epochs(connection, named, FIRST_SIGHTING):
-                upsert(connection, sun_point, fields_of(point), key=_KEY)
+                upsert(connection, sun_point, field_values(point), key=_KEY)
             return int(connection.scalar(count) or 0) - before
 
     def mark_predicted(self, camera: str, keys: Iterable[ImageKey], *, ingest_pass: int) -> None:
         """Set the `ingest_pass` of the sightings of image files."""
         with self._database.writing() as connection:
             for key in keys:
-                change = update(sun_point).where(*_of_image(camera, key))
+                change = update(sun_point).where(*_image_conditions(camera, key))
                 connection.execute(change.values(ingest_pass=ingest_pass))
 
-    def methods_of_files(self, camera: str) -> tuple[str, ...]:
+    def file_methods(self, camera: str) -> tuple[str, ...]:
         """Return the methods by which the sun was found in image files."""
         c = sun_point.c
         methods = select(c.method).distinct().where(c.camera == camera, c.file != "", c.x_px.is_not(None))
@@ -407,7 +407,7 @@ class SightingStore(Part):
             return 0
         self._database.prepare_months([point.time for point in new])
         with self._database.writing() as connection:
-            rows = [fields_of(point) for point in _in_epochs(connection, new, first_epoch)]
+            rows = [field_values(point) for point in _in_epochs(connection, new, first_epoch)]
             return insert_new(connection, sun_point, rows)
 
     def widen_clock_errors(self, camera: str, *, since: datetime, until: datetime, error_s: float) -> int:
@@ -454,13 +454,13 @@ class SightingStore(Part):
         method: str | None = None,
         body: str | None = SUN,
         no_sun: bool = False,
-        of_files: bool = False,
+        file_sightings: bool = False,
         largest_clock_error_s: float | None = None,
         after_id: int | None = None,
     ) -> SunPointColumns:
         """Return the accepted sightings with `since` <= time < `until` as columns, for a fit; None does not filter.
 
-        With `no_sun` only those of other bodies, with `of_files` only those in image files, with `after_id` only those
+        With `no_sun` only those of other bodies, with `file_sightings` only those in image files, with `after_id` those
         stored since the one of that key.
         """
         c = sun_point.c
@@ -468,7 +468,9 @@ class SightingStore(Part):
         of_camera = c.camera.__eq__ if after_id is None else c.camera.concat("").__eq__
         filters = _filters(None, since=since, until=until, accepted=True, pose_epoch=pose_epoch)
         filters += [of_camera(camera), *_clock_within(largest_clock_error_s)]
-        filters += given((c.body.__eq__, body), (c.method.__eq__, method), (c.file.__ne__, "" if of_files else None))
+        filters += given(
+            (c.body.__eq__, body), (c.method.__eq__, method), (c.file.__ne__, "" if file_sightings else None)
+        )
         filters += given((c.id.__gt__, after_id), (c.body.__ne__, SUN if no_sun else None))
         with self._database.reading() as connection:
             return read_columns(connection, camera, filters, others=body != SUN)
@@ -476,11 +478,11 @@ class SightingStore(Part):
     def candidates(
         self, camera: str, *, since: datetime | None = None, until: datetime | None = None
     ) -> CandidateColumns:
-        """Return the columns by which a fit selects from the accepted sightings of the sun; see `of_ids`."""
+        """Return the columns by which a fit selects from the accepted sightings of the sun; see `by_ids`."""
         with self._database.reading() as connection:
             return read_candidates(connection, camera, _filters(camera, since=since, until=until, accepted=True))
 
-    def of_ids(self, camera: str, ids: IntArray) -> SunPointColumns:
+    def by_ids(self, camera: str, ids: IntArray) -> SunPointColumns:
         """Return the sightings of a camera with these keys, in the order of time; without those that are gone."""
         with self._database.reading() as connection:
             return read_columns(connection, camera, [listed(connection, ids)])
@@ -492,7 +494,7 @@ class SightingStore(Part):
         with self._database.reading() as connection:
             return connection.scalar(newest.order_by(c.time.desc()).limit(1))
 
-    def observation_times(
+    def exposure_times(
         self, camera: str, *, since: datetime, until: datetime, largest_clock_error_s: float | None = None
     ) -> FloatArray | None:
         """Return when sun exposures were taken, with a sighting or without, s since 1970-01-01 UTC (n,).
@@ -562,17 +564,17 @@ class SightingStore(Part):
         by_day: dict[int, list[tuple[str, bool, int, float | None]]] = {}
         for day_number, *row in rows:
             by_day.setdefault(int(day_number), []).append((row[0], row[1], row[2], row[3]))
-        return tuple(_of_day(one, by_day[one]) for one in sorted(by_day, reverse=True))
+        return tuple(_count_day(one, by_day[one]) for one in sorted(by_day, reverse=True))
 
 
-def _of_image(camera: str, key: ImageKey) -> tuple[ColumnElement[bool], ...]:
+def _image_conditions(camera: str, key: ImageKey) -> tuple[ColumnElement[bool], ...]:
     """Return the conditions that a row is of the sun in an image."""
     c = sun_point.c
     same_time = (type_coerce(c.time, BigInteger) == key.time_us, c.exposure_us == key.exposure_us)
     return c.camera == camera, *same_time, c.file == key.file, c.folder == key.folder, c.body == SUN
 
 
-def _of_day(day: int, rows: list[tuple[str, bool, int, float | None]]) -> SightingCounts:
+def _count_day(day: int, rows: list[tuple[str, bool, int, float | None]]) -> SightingCounts:
     verdicts: Counter[str] = Counter()
     for verdict, _, count, _ in rows:
         verdicts[verdict] += count
@@ -630,7 +632,7 @@ _SHARED = {field.name for field in fields(SunPoint)} & {field.name for field in 
 """Columns that both have under the same name; the exposure of a detection may be unknown."""
 
 
-def sun_point_of(
+def make_sun_point(
     detection: Detection,
     *,
     camera: str,

@@ -463,7 +463,7 @@ class Event(Returned):
         """Findings of the event, each a code and data."""
         # numbers and names only: a boolean is none, though Python counts it among the integers
         plain = {key: value for key, value in self.details.items() if type(value) in {str, int, float}}
-        return [Finding(code_of_event(self.kind, self.details), plain).as_json()]
+        return [Finding(event_code(self.kind, self.details), plain).as_json()]
 
 
 CAMERA_CHANGES: Mapping[str, str] = {
@@ -478,14 +478,14 @@ ACKNOWLEDGED_AT, ACKNOWLEDGED_BECAUSE = "acknowledged_at", "acknowledged_because
 """Details of an event that was acknowledged: when, RFC 3339, and the operator's reason."""
 
 
-def code_of_event(kind: str, details: Mapping[str, Any]) -> str:
+def event_code(kind: str, details: Mapping[str, Any]) -> str:
     """Return the code of a stored event, of which the archive has the kind: several codes may share one."""
     if kind not in get_args(ChangeKind):
         return kind
     return "pose_changed" if details.get("searched") else f"changed_{kind}"
 
 
-def fields_of(value: Any) -> dict[str, Any]:  # noqa: ANN401 - any dataclass
+def field_values(value: Any) -> dict[str, Any]:  # noqa: ANN401 - any dataclass
     """Return the fields of a value by their names, those within it as they are (`asdict` takes them apart)."""
     return {one.name: getattr(value, one.name) for one in fields(value)}
 
@@ -529,15 +529,15 @@ def merged(one: Housekeeping, other: Housekeeping, *, time: datetime) -> Houseke
     weighted = [part.temperature_c * part.n_temperatures for part in (one, other) if part.temperature_c is not None]
     return Housekeeping(
         time=time,
-        disk_free_bytes=_of(min, one.disk_free_bytes, other.disk_free_bytes),
-        images_bytes=_of(max, one.images_bytes, other.images_bytes),
+        disk_free_bytes=_combine(min, one.disk_free_bytes, other.disk_free_bytes),
+        images_bytes=_combine(max, one.images_bytes, other.images_bytes),
         temperature_c=sum(weighted) / n if n else None,
-        temperature_min_c=_of(min, one.temperature_min_c, other.temperature_min_c),
-        temperature_max_c=_of(max, one.temperature_max_c, other.temperature_max_c),
+        temperature_min_c=_combine(min, one.temperature_min_c, other.temperature_min_c),
+        temperature_max_c=_combine(max, one.temperature_max_c, other.temperature_max_c),
         n_temperatures=n,
     )
 
 
-def _of(select: Callable[[list[_Number]], _Number], *values: _Number | None) -> _Number | None:
+def _combine(select: Callable[[list[_Number]], _Number], *values: _Number | None) -> _Number | None:
     known = [value for value in values if value is not None]
     return select(known) if known else None

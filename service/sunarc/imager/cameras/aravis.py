@@ -23,9 +23,9 @@ import numpy as np
 from sunarc.common import errors
 from sunarc.common.array_types import Image
 from sunarc.imager.cameras import features
-from sunarc.imager.cameras.frame import CameraCondition, CameraInfo, Frame, full_scale_of, middle_of_exposure
-from sunarc.imager.cameras.options import AravisOptions, utc_of_timestamp
-from sunarc.imager.cameras.packed import packed_bytes, packing_of, unpack
+from sunarc.imager.cameras.frame import CameraCondition, CameraInfo, Frame, exposure_middle, largest_count
+from sunarc.imager.cameras.options import AravisOptions, timestamp_to_utc
+from sunarc.imager.cameras.packed import packed_bytes, packed_layout, unpack
 from sunarc.imager.runtime.clock import Clock
 from sunarc.imaging.exposure import ExposureBounds
 
@@ -290,7 +290,7 @@ class AravisCamera:
         """Raise the gain by decibels, and read it back (see `GainCamera`)."""
         self._require_control()
         with self._translated("setting the gain"):
-            self._pins = features.with_gain_raised(self._camera, self._pins, self._day_gain_db, by_db=by_db)
+            self._pins = features.raise_gain_by(self._camera, self._pins, self._day_gain_db, by_db=by_db)
 
     def restore_gain(self) -> None:
         """Restore the gain of the settings, and read it back (see `GainCamera`)."""
@@ -318,7 +318,7 @@ class AravisCamera:
         """Return the camera's abilities: name and description of each."""
         with self._translated("asking what the camera can do"):
             noted = self._noted is not None and self._noted.from_frame
-            return tuple(abilities_of(self._camera, exposure=self._control, pins=self._pins, notes_exposures=noted))
+            return tuple(list_abilities(self._camera, exposure=self._control, pins=self._pins, notes_exposures=noted))
 
     def close(self) -> None:
         """Let go of the camera, so that it can be opened again; harmless when done twice."""
@@ -354,11 +354,11 @@ class AravisCamera:
             address=self._options.address,
             vendor=str(camera.get_vendor_name() or ""),
             model=str(camera.get_model_name() or ""),
-            serial=features.serial_of(camera),
+            serial=features.read_serial(camera),
             width=int(width),
             height=int(height),
             pixel_format=pixel_format,
-            full_scale=full_scale_of(pixel_format),
+            full_scale=largest_count(pixel_format),
             exposure_min_us=exposure.bounds.minimum_us,
             exposure_max_us=exposure.bounds.maximum_us,
             exposure_step_us=exposure.bounds.step_us,
@@ -455,7 +455,7 @@ class AravisCamera:
                 raise errors.CameraLostError("the camera no longer answers")
             raise self._silent()
         try:
-            return self._checked(buffer, info, exposure_us, triggered_at)
+            return self._check_frame(buffer, info, exposure_us, triggered_at)
         finally:
             self._stream.push_buffer(buffer)
 
@@ -464,7 +464,7 @@ class AravisCamera:
             f"no frame came within {self._options.answer_timeout_s:g} s of the exposure's end"
         )
 
-    def _checked(
+    def _check_frame(
         self,
         buffer: Any,  # noqa: ANN401 - a GObject
         info: CameraInfo,
@@ -476,7 +476,7 @@ class AravisCamera:
             raise incomplete(status.value_nick)
         if (buffer.get_image_width(), buffer.get_image_height()) != (info.width, info.height):
             raise errors.CameraError(f"a frame of {buffer.get_image_width()}×{buffer.get_image_height()} px came")
-        image = image_of(buffer.get_image_data(), info)
+        image = decode_frame(buffer.get_image_data(), info)
         frame_id = int(buffer.get_frame_id())
         if self._previous_id is not None and not follows(self._previous_id, frame_id):
             raise errors.CameraError(f"frame {frame_id} came after frame {self._previous_id}")
@@ -485,11 +485,11 @@ class AravisCamera:
             require_exposure(self._noted.of(buffer), exposure_us)
         started_at, offset_s = triggered_at, None
         if self._options.timestamps == "camera":
-            started_at = utc_of_timestamp(int(buffer.get_timestamp()), self._options)
+            started_at = timestamp_to_utc(int(buffer.get_timestamp()), self._options)
             offset_s = (started_at - triggered_at).total_seconds()
         return Frame(
             image=image,
-            time=middle_of_exposure(started_at, exposure_us),
+            time=exposure_middle(started_at, exposure_us),
             exposure_us=exposure_us,
             gain_db=features.gain_db(self._pins),
             pixel_format=info.pixel_format,
@@ -536,7 +536,7 @@ def _library() -> tuple[Any, Any]:
 # The abilities of a GenICam camera, in words for its installation.
 
 
-def abilities_of(
+def list_abilities(
     camera: Any,  # noqa: ANN401 - a GObject has no types
     *,
     exposure: ExposureControl,
@@ -582,9 +582,9 @@ def require_exposure(noted_us: float, exposure_us: float) -> None:
         raise errors.CameraError(f"a frame notes an exposure of {noted_us:g} µs, not {exposure_us:g} µs")
 
 
-def image_of(data: bytes, info: CameraInfo) -> Image:
+def decode_frame(data: bytes, info: CameraInfo) -> Image:
     """Return the counts of a frame's bytes, which may have been cut short."""
-    count, packing = info.width * info.height, packing_of(info.pixel_format)
+    count, packing = info.width * info.height, packed_layout(info.pixel_format)
     depth = 1 if info.full_scale == 255 else 2
     expected = count * depth if packing is None else packed_bytes(packing, count)
     if len(data) < expected:

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 from sunarc.common.errors import CameraError, ConfigurationError, InputError
-from sunarc.imager.cameras.frame import full_scale_of
+from sunarc.imager.cameras.frame import largest_count
 from sunarc.imager.cameras.options import AravisOptions
 
 _log = logging.getLogger(__name__)
@@ -169,7 +169,7 @@ def write_or_keep(camera: Any, name: str, kind: Kind, value: Value) -> Pin:  # n
     return present
 
 
-def serial_of(camera: Any) -> str:  # noqa: ANN401 - a GObject has no types
+def read_serial(camera: Any) -> str:  # noqa: ANN401 - a GObject has no types
     """Return the serial number, empty where the camera does not state it."""
     name = first(camera, _SERIAL)
     return "" if name is None else str(camera.get_string(name))
@@ -199,7 +199,7 @@ def gain_raise_db(camera: Any, pins: tuple[Pin, ...]) -> float:  # noqa: ANN401 
     return max(float(camera.get_float_bounds("Gain")[1]) - gain_db(pins), 0.0)
 
 
-def with_gain_raised(
+def raise_gain_by(
     camera: Any,  # noqa: ANN401 - a GObject has no types
     pins: tuple[Pin, ...],
     from_db: float,
@@ -288,7 +288,7 @@ def _set_pixel_format(camera: Any, pixel_format: str) -> None:  # noqa: ANN401 -
 def is_usable(pixel_format: str) -> bool:
     """Return whether a format is a single-channel one that can be decoded."""
     try:
-        full_scale_of(pixel_format)
+        largest_count(pixel_format)
     except InputError:
         return False
     return True

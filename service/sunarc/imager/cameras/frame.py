@@ -161,7 +161,7 @@ class GainCamera(SkyCamera, Protocol):
         """Set the gain of the settings and read it back; CameraError where it is another one."""
 
 
-def full_scale_of(pixel_format: str, *, field: str = "pixel_format") -> int:
+def largest_count(pixel_format: str, *, field: str = "pixel_format") -> int:
     """Return the largest count of a single-channel pixel format (GenICam's names); `field` names it in the error."""
     match = _SINGLE_CHANNEL.fullmatch(pixel_format)
     if match is None:
@@ -174,6 +174,6 @@ def full_scale_of(pixel_format: str, *, field: str = "pixel_format") -> int:
     return int(2 ** int(match.group(1) or match.group(2)) - 1)
 
 
-def middle_of_exposure(start: datetime, exposure_us: float) -> datetime:
+def exposure_middle(start: datetime, exposure_us: float) -> datetime:
     """Return the middle of an exposure that began at `start`."""
     return start + timedelta(microseconds=exposure_us / 2.0)

@@ -14,7 +14,7 @@ from annotated_types import Ge, Gt, Le
 from sunarc.common.bounds import require_bounds
 from sunarc.common.errors import InputError
 from sunarc.common.utc import EPOCH
-from sunarc.imager.cameras.frame import full_scale_of
+from sunarc.imager.cameras.frame import largest_count
 from sunarc.sources.time_patterns import checked_pattern
 
 Pixels = Annotated[int, Ge(0), Le(100_000)]
@@ -64,7 +64,7 @@ class AravisOptions:
             _require_address(self.address)
         elif not self.address.strip():
             raise InputError(field="camera.address", problem="is empty", remedy="give the id that arv-tool-0.8 lists")
-        full_scale_of(self.pixel_format, field="camera.pixel_format")
+        largest_count(self.pixel_format, field="camera.pixel_format")
         if self.region is not None and min(self.region[2:]) < 1:
             problem = f"{self.region} has no width or height"
             raise InputError(field="camera.region", problem=problem, remedy="give x, y, width, height in px")
@@ -89,7 +89,7 @@ class ReplayOptions:
         """Refuse a folder that cannot be played."""
         require_bounds(self, section_path="replay")
         if self.pixel_format is not None:
-            full_scale_of(self.pixel_format, field="replay.pixel_format")
+            largest_count(self.pixel_format, field="replay.pixel_format")
 
 
 WHOLE_SECONDS_S = 1.0
@@ -221,7 +221,7 @@ TAI_MINUS_UTC_S = 37.0
 the comparison with the host's clock shows a difference of 1 s."""
 
 
-def utc_of_timestamp(timestamp_ns: int, options: AravisOptions) -> datetime:
+def timestamp_to_utc(timestamp_ns: int, options: AravisOptions) -> datetime:
     """Return the UTC time of a camera's timestamp.
 
     Parameters

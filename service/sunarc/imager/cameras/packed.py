@@ -18,7 +18,7 @@ Words = NDArray[np.uint16]
 _PACKED = re.compile(r"(?:Mono|Bayer(?:RG|BG|GR|GB))(10|12)(p|Packed)")
 
 
-def packing_of(pixel_format: str) -> str | None:
+def packed_layout(pixel_format: str) -> str | None:
     """Return the layout of a packed format ("10p", "12p", "10Packed", "12Packed"); None of an unpacked one."""
     match = _PACKED.fullmatch(pixel_format)
     return None if match is None else match.group(1) + match.group(2)
@@ -36,7 +36,7 @@ def unpack(data: bytes, packing: str, count: int) -> Words:
     Parameters
     ----------
     data : at least `packed_bytes` of them.
-    packing : as `packing_of` returns it.
+    packing : as `packed_layout` returns it.
     count : number of pixels.
 
     Returns

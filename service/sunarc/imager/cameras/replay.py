@@ -15,11 +15,11 @@ import numpy as np
 from sunarc.common.array_types import Image
 from sunarc.common.errors import CameraLostError, InputError
 from sunarc.common.foreign_files import read_regular
-from sunarc.imager.cameras.frame import CameraCondition, CameraInfo, Frame, full_scale_of
+from sunarc.imager.cameras.frame import CameraCondition, CameraInfo, Frame, largest_count
 from sunarc.imager.cameras.options import ReplayOptions
 from sunarc.imaging.preview import decoded
-from sunarc.sources.file_kinds import kind_of
-from sunarc.sources.image_times import exposure_of_name
+from sunarc.sources.file_kinds import find_kind
+from sunarc.sources.image_times import parse_name_exposure
 
 _TIME = re.compile(r"(?<!\d)(\d{8}T\d{6})(\.\d{1,6})?Z")
 
@@ -85,9 +85,9 @@ class ReplayCamera:
     def _dated_files(self) -> list[tuple[datetime, float, Path]]:
         dated = []
         for path in sorted(self._options.folder.rglob("*")):
-            if kind_of(path.name) != "picture":
+            if find_kind(path.name) != "picture":
                 continue
-            time, exposure_us = time_of_name(path.name), exposure_of_name(path.name) or self._options.exposure_us
+            time, exposure_us = parse_name_time(path.name), parse_name_exposure(path.name) or self._options.exposure_us
             if time is None:
                 self._skip(path, "no time in its name")
             elif exposure_us is None:
@@ -119,7 +119,7 @@ class ReplayCamera:
             exposure_us=exposure_us,
             gain_db=0.0,
             pixel_format=pixel_format,
-            full_scale=full_scale_of(pixel_format),
+            full_scale=largest_count(pixel_format),
             frame_id=number,
         )
 
@@ -155,7 +155,7 @@ def open_replay(options: ReplayOptions) -> ReplayCamera:
     return ReplayCamera(options)
 
 
-def time_of_name(name: str) -> datetime | None:
+def parse_name_time(name: str) -> datetime | None:
     """Return the UTC time in a file's name (``YYYYmmddTHHMMSS[.ffffff]Z``), None without one."""
     match = _TIME.search(name)
     if match is None:
@@ -174,6 +174,6 @@ def _unusable(image: object, shape: tuple[int, ...] | None, pixel_format: str | 
         return "not a single channel of 8 or 16 bits"
     if shape is not None and image.shape != shape:
         return "another size than the first one"
-    if pixel_format is not None and (full_scale_of(pixel_format) == 255) != (image.dtype == np.uint8):
+    if pixel_format is not None and (largest_count(pixel_format) == 255) != (image.dtype == np.uint8):
         return f"not of depth {pixel_format}"
     return None

@@ -55,7 +55,7 @@ _UNITS = {
 }
 
 
-def database_of(state: Path) -> Path:
+def database_path(state: Path) -> Path:
     """Return the database file of a state folder."""
     return state / "sunarc.sqlite"
 
@@ -74,7 +74,7 @@ def export_everything(state: Path, folder: Path) -> dict[str, int]:
     try:
         if folder.exists() and any(folder.iterdir()):
             raise InputError(field="folder", problem=f"{folder} is not empty", remedy="name a new folder")
-        with open_archive(database_of(state)) as archive:
+        with open_archive(database_path(state)) as archive:
             (folder / "calibrations").mkdir(parents=True, exist_ok=True)
             return _write(archive, folder)
     except OSError as error:
@@ -231,11 +231,11 @@ def import_points(settings: Settings, path: Path, *, image_size: tuple[int, int]
 
 
 def write_points(settings: Settings, target: TextIO, *, since: datetime | None, until: datetime | None) -> int:
-    """Write the accepted sightings as CSV and return how many, with the air where it was measured (see `air_of`)."""
+    """Write the accepted sightings as CSV and return how many, with the air where it was measured (`sighting_air`)."""
     with open_archive(settings.archive) as archive:
         points = archive.sightings.find(settings.name, since=since, until=until, accepted=True, body=None)
         placed = [(p, p.x_px, p.y_px) for p in points if p.x_px is not None and p.y_px is not None]
-        air = archive.days.air_of(settings.name, [point for point, _, _ in placed])
+        air = archive.days.sighting_air(settings.name, [point for point, _, _ in placed])
     rows = [(p.time, x, y, p.sigma_px, p.body) for p, x, y in placed]
     if all(p.body == SUN for p, _, _ in placed):
         return write_sightings(target, rows, air=air)

@@ -14,7 +14,7 @@ from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, Le
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.quality.tilt import require_level
-from sunarc.calibration.quality.widening import with_pose_spread
+from sunarc.calibration.quality.widening import add_pose_spread
 from sunarc.common.errors import InputError
 from sunarc.common.findings import Finding
 from sunarc.formats.calibration_document import from_document, to_document
@@ -29,7 +29,7 @@ from sunarc.imager.runtime.clock import Clock
 from sunarc.imager.runtime.status import StatusRegistry
 from sunarc.imager.settings.model import Settings
 from sunarc.imager.workers.calibrating.refit import RefitWorker
-from sunarc.imager.workers.calibrating.solver_process import points_of
+from sunarc.imager.workers.calibrating.solver_process import columns_to_sightings
 from sunarc.optics.camera import Camera
 
 
@@ -138,7 +138,9 @@ def solve_again(settings: Settings, calibration_id: str) -> dict[str, Any]:
     with open_archive(settings.archive) as archive:
         record = archive.calibrations.get(calibration_id)
         past = from_document(record.document)
-        points = points_of(archive.calibrations.sightings_of(calibration_id), site=past.site, latest=record.pose_epoch)
+        points = columns_to_sightings(
+            archive.calibrations.sightings_given_to(calibration_id), site=past.site, latest=record.pose_epoch
+        )
     solved = reproduce_calibration(past, points)
     separation_px = distance_px(past, solved)
     document = to_document(
@@ -188,7 +190,7 @@ def reproduce_calibration(past: Calibration, points: Sightings) -> Calibration:
             field="evidence", problem=f"is of another version ({error})", remedy="use the version that made it"
         ) from error
     solved = replace(solved, evidence=replace(solved.evidence, selection=evidence.selection))
-    return with_pose_spread(solved, evidence.pose_spread_deg or (0.0, 0.0, 0.0))
+    return add_pose_spread(solved, evidence.pose_spread_deg or (0.0, 0.0, 0.0))
 
 
 def _options(stored: Mapping[str, object]) -> CalibrationOptions:

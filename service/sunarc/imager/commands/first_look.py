@@ -18,8 +18,8 @@ from sunarc.imaging.preview import preview
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles
 from sunarc.sources.detect_files import detect_in_image
-from sunarc.sources.file_kinds import is_derived, kind_of
-from sunarc.sources.image_files import image_of
+from sunarc.sources.file_kinds import find_kind, is_derived
+from sunarc.sources.image_files import read_one_image
 from sunarc.sources.image_times import TimeRules, timed_frames
 from sunarc.sources.name_times import time_in_name
 from sunarc.sources.source_files import ImageSource
@@ -86,19 +86,19 @@ def try_pictures(
     most : number of pictures that are read.
     on_image : called with the first picture that can be read, and its image.
     """
-    every_picture = [name for name in names if kind_of(name) is not None and not is_derived(name)]
+    every_picture = [name for name in names if find_kind(name) is not None and not is_derived(name)]
     pictures = [name for name in every_picture if time_in_name(name) is not None] or every_picture
     chosen = [len(pictures) - 1, *(int(len(pictures) * ((k * _GOLDEN) % 1.0)) for k in range(1, most))]
     every, shown = frozenset(names), False
     for number in dict.fromkeys(chosen) if pictures else ():
-        tried, image = _tried(source, pictures[number], rules, every)
+        tried, image = _try_picture(source, pictures[number], rules, every)
         if image is not None and not shown:
             shown = True
             on_image(tried, image)
         yield tried
 
 
-def _tried(
+def _try_picture(
     source: ImageSource, name: str, rules: TimeRules, names: Collection[str]
 ) -> tuple[TriedPicture, Image | None]:
     tried = TriedPicture(name=PurePosixPath(name).name)
@@ -108,7 +108,7 @@ def _tried(
         number = frame.number
     except FindingError as error:
         tried, number = replace(tried, faults=(error.finding,)), 0
-    image = image_of(source, name, number)
+    image = read_one_image(source, name, number)
     if isinstance(image, Finding):
         return replace(tried, faults=tuple({one.code: one for one in (*tried.faults, image)}.values())), None
     return look_for_sun(tried, image), image

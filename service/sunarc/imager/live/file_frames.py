@@ -13,7 +13,7 @@ _UNSTATED_US = 1e6
 """Exposure of a file that states none: a second, so that the night's zero point is that of one exposure."""
 
 
-def frame_of(image: Image, unix_s: float, exposure_us: float | None, number: int) -> Frame:
+def make_file_frame(image: Image, unix_s: float, exposure_us: float | None, number: int) -> Frame:
     """Return an image of a file as a frame of a camera.
 
     Parameters

@@ -129,7 +129,7 @@ class FolderArchiveWorker:
     def waiting_days(self, others: Container[date]) -> Container[date]:
         """Return the days of which older images are still to be analysed, and other ones that wait."""
         older = self._older
-        return others if self._rests or not older else DaysUntil(self._day_of(changed_s(older[0])), others)
+        return others if self._rests or not older else DaysUntil(self._mean_solar_date(changed_s(older[0])), others)
 
     @property
     def _rests(self) -> bool:
@@ -179,9 +179,9 @@ class FolderArchiveWorker:
             self._analysed, self._calibrated = self._today(), self._has_calibration()
 
     def _today(self) -> date:
-        return self._day_of(self.frame_time.now().timestamp())
+        return self._mean_solar_date(self.frame_time.now().timestamp())
 
-    def _day_of(self, unix_s: float) -> date:
+    def _mean_solar_date(self, unix_s: float) -> date:
         return solar_date(unix_s, longitude=self.camera.site.longitude)
 
     def _has_calibration(self) -> bool:
@@ -196,19 +196,19 @@ class FolderArchiveWorker:
     ) -> object:
         only = frozenset(file.name for file in files) if files else None
         call = partial(analysis, self.settings, rules=self.rules, only=only)
-        before, next_s = self._stored(), self.clock.monotonic()
+        before, next_s = self._count_stored(), self.clock.monotonic()
 
         def show() -> None:
             nonlocal next_s
             heartbeat()
             if files and self.clock.monotonic() >= next_s:
                 next_s = self.clock.monotonic() + _COUNT_S
-                found = Finding(_IN_WORK, {"n": len(self._older), "stored": self._stored() - before})
+                found = Finding(_IN_WORK, {"n": len(self._older), "stored": self._count_stored() - before})
                 self.board.set_condition(_IN_WORK, Reason.of(found))
 
         return in_child(call, ChildControl(self.clock, _LONGEST_S, stop, show))
 
-    def _stored(self) -> int:
+    def _count_stored(self) -> int:
         until = self.frame_time.now() + timedelta(days=1)
         return sum(self.camera.archive.sightings.count(self.camera.name, since=EPOCH, until=until).values())
 

@@ -12,12 +12,12 @@ from sunarc.imager.archive.pictures_of_one_time import TWO_PICTURES
 from sunarc.imager.cameras.options import FolderOptions
 from sunarc.imager.runtime.clock import Clock
 from sunarc.imager.runtime.status import Reason, StatusRegistry
-from sunarc.sources.image_times import TimeRules, utc_offset_of
+from sunarc.sources.image_times import TimeRules, parse_utc_offset
 
 
 def time_rules(options: FolderOptions) -> TimeRules:
     """Return the rules of times of a folder's images; InputError for an unknown zone."""
-    offset = None if options.utc_offset is None else utc_offset_of(options.utc_offset, field="folder.utc_offset")
+    offset = None if options.utc_offset is None else parse_utc_offset(options.utc_offset, field="folder.utc_offset")
     return TimeRules(pattern=options.time_pattern, offset=offset, documents=True)
 
 
@@ -72,12 +72,12 @@ class LeftOut:
         counts = Counter(one for one in self._last.values() if one is not None)
         worst, n = counts.most_common(1)[0] if counts else ("", 0)
         if finding is not None and cause == worst and n >= _LEAST and n >= _SHARE * len(self._last):
-            self._board.set_one_condition(LEFT_OUT, _reason_of(worst, n, file, finding))
+            self._board.set_one_condition(LEFT_OUT, _make_reason(worst, n, file, finding))
         elif n < max(_LEAST, _SHARE * len(self._last)):
             self._board.set_one_condition(LEFT_OUT, None)
 
 
-def _reason_of(code: str, n: int, file: str, finding: Finding) -> Reason:
+def _make_reason(code: str, n: int, file: str, finding: Finding) -> Reason:
     if finding.code == code:
         return Reason.of(finding)
     why, remedy = finding.text, finding.remedy

@@ -16,7 +16,7 @@ import watchfiles
 from sunarc.common.foreign_files import name_path, name_text, require_regular
 from sunarc.imager.runtime.clock import Clock
 from sunarc.imager.runtime.loop import Loop
-from sunarc.sources.file_kinds import DERIVED_FOLDERS, ONE_IMAGE, is_derived, kind_of
+from sunarc.sources.file_kinds import DERIVED_FOLDERS, ONE_IMAGE, find_kind, is_derived
 from sunarc.sources.source_files import SourceFile
 
 _log = logging.getLogger(__name__)
@@ -35,7 +35,7 @@ _LIST_S = 60.0
 
 def is_image(name: str, pattern: str) -> bool:
     """Return whether a file, by its path below the folder, is an image of the camera's."""
-    return kind_of(name) in ONE_IMAGE and not is_derived(name) and fnmatch.fnmatch(PurePosixPath(name).name, pattern)
+    return find_kind(name) in ONE_IMAGE and not is_derived(name) and fnmatch.fnmatch(PurePosixPath(name).name, pattern)
 
 
 class _Folder(NamedTuple):

@@ -11,13 +11,13 @@ from sunarc.common.findings import Finding
 from sunarc.common.utc import utc_time
 from sunarc.imager.archive.archive import Archive, CameraArchive
 from sunarc.imager.archive.values import Night, Refit
-from sunarc.imager.live.file_frames import frame_of
+from sunarc.imager.live.file_frames import make_file_frame
 from sunarc.imager.runtime.loop import DropOldestQueue
 from sunarc.imager.runtime.status import StatusRegistry
 from sunarc.imager.settings.model import Settings
 from sunarc.imager.workers.night.exposures import NightCapture, NightExposures
 from sunarc.imager.workers.night.night import NightWorker
-from sunarc.sources.image_files import image_of
+from sunarc.sources.image_files import read_one_image
 from sunarc.sources.index import CameraImages, Failure, ReportProgress, at_night, by_night, evenly, zeniths_deg
 from sunarc.sources.sources import open_source
 
@@ -107,12 +107,12 @@ def ingest_nights(
         worker = _worker(camera, settings, now=utc_time(every[-1].unix_s), replaces=reprocess)
         n_read = 0
         for image in some:
-            pixels = image_of(open_source(image.address), image.file, image.number, size=record.image_size)
+            pixels = read_one_image(open_source(image.address), image.file, image.number, size=record.image_size)
             try:
                 if isinstance(pixels, Finding):
                     failures.append(Failure(image.path, pixels))
                 else:
-                    worker.look_at(frame_of(pixels, image.unix_s, image.exposure_us, n_read))
+                    worker.look_at(make_file_frame(pixels, image.unix_s, image.exposure_us, n_read))
                     n_read += 1
             except InputError as error:
                 failures.append(Failure(image.path, Finding("file_not_image", {"error": error.problem})))

@@ -25,7 +25,7 @@ from sunarc.imager.archive.seen_files import SeenFile
 from sunarc.imager.cameras.frame import Frame
 from sunarc.imager.cameras.options import WHOLE_SECONDS_S, FolderOptions
 from sunarc.imager.live import folder_files
-from sunarc.imager.live.file_frames import frame_of
+from sunarc.imager.live.file_frames import make_file_frame
 from sunarc.imager.live.folder_conditions import DATED_AGAIN, FUTURE, AheadOfClock, ArrivalTimes, LeftOut, time_rules
 from sunarc.imager.live.live_images import LiveImage, LiveImages
 from sunarc.imager.live.resized_pictures import ResizedPictures
@@ -38,10 +38,10 @@ from sunarc.sky.days import solar_date
 from sunarc.sky.sun import DARK_ZENITH_DEG
 from sunarc.sources import image_files, source_files
 from sunarc.sources.expected_sun import MOST_EXPOSURES
-from sunarc.sources.image_times import TimedFrame, sidecar_of, timed_frames
+from sunarc.sources.image_times import TimedFrame, name_sidecar, timed_frames
 from sunarc.sources.index import at_night
 from sunarc.sources.name_times import time_in_name
-from sunarc.sources.sources import Folder, hash_of
+from sunarc.sources.sources import Folder, content_hash
 
 _log = logging.getLogger(__name__)
 
@@ -387,7 +387,7 @@ class FolderWorker:
             frame = self._timed(file)
             if self._is_doubtful(file, frame.time):
                 return None
-            content = hash_of(source_files.content_of(self._source, name))
+            content = content_hash(source_files.read_content(self._source, name))
         except FindingError as error:
             self._refuse(file, self._as_latest(name, error.finding))
             return None
@@ -400,7 +400,7 @@ class FolderWorker:
         """Return when the image of a file was taken; FindingError where that cannot be."""
         if file.size > MOST_BYTES:
             raise FindingError(file.name, Finding("file_too_large", {"bytes": file.size, "most": MOST_BYTES}))
-        sidecar = sidecar_of(file.name)
+        sidecar = name_sidecar(file.name)
         names = {sidecar} if is_regular(self._root / name_path(sidecar)) else set[str]()
         frame = timed_frames(self._source, file.name, self._rules, names=names)[0]
         ahead_s = (frame.time - self.frame_time.now()).total_seconds()
@@ -425,7 +425,7 @@ class FolderWorker:
     def _take_time(self, time: datetime, new: list[_Dated], *, live: bool) -> None:
         """Look at the images of one time, and write down that they were seen."""
         zenith = self.apparent_zenith(time)
-        new = self._of_this_camera(new)
+        new = self._select_by_prefix(new)
         if not new:
             return
         members = self.camera.archive.seen_files.at(self.camera.name, time)
@@ -456,7 +456,7 @@ class FolderWorker:
             if finding is not None and finding.code == _TRUNCATED and self._may_grow(one.file):
                 self._again[one.file.name] = self.clock.monotonic() + _AGAIN_S
             elif finding is None or finding.code == TWO_PICTURES:
-                self._seen(one)
+                self._mark_seen(one)
                 self._left_out.note(one.file.name, finding)
             else:
                 self._refuse(one.file, finding, one)
@@ -482,15 +482,15 @@ class FolderWorker:
             if not takes or not later or self.night is None:
                 self._refuse(one.file, at_night(zenith), one)
                 continue
-            pixels = image_files.image_of(self._source, one.file.name, size=self.images.size)
+            pixels = image_files.read_one_image(self._source, one.file.name, size=self.images.size)
             if isinstance(pixels, Finding):
                 self._refuse(one.file, pixels, one)
                 continue
             self._last_night = time
-            self.night.put(frame_of(_mono(pixels), time.timestamp(), one.frame.exposure_us, self._n_frames))
-            self._seen(one)
+            self.night.put(make_file_frame(_mono(pixels), time.timestamp(), one.frame.exposure_us, self._n_frames))
+            self._mark_seen(one)
 
-    def _of_this_camera(self, new: Sequence[_Dated]) -> list[_Dated]:
+    def _select_by_prefix(self, new: Sequence[_Dated]) -> list[_Dated]:
         """Return the images with the usual prefix of names; another prefix is taken once the usual one is gone."""
         kept = []
         for one in new:
@@ -545,7 +545,7 @@ class FolderWorker:
             size = int(finding.data["width"]), int(finding.data["height"])
             self.take_late(self._resized.note(file, dated.frame.time, size))
 
-    def _seen(self, one: _Dated) -> None:
+    def _mark_seen(self, one: _Dated) -> None:
         self._resized.clear()
         self._write(one.file, one, None)
 

@@ -4,7 +4,7 @@ The rule: a sighting is stored with what its detector states times the factor in
 last event `sigma_learned` (1 without). After a run, and after an accepted calibration, all stored sightings and the
 factor in force are multiplied by scatter over stated sigma where these differ by more than 15 %; the factor never falls
 below 1 nor rises above 5. The table of sightings of `reanalyse`, where nothing is stored, has a factor for each kind of
-sky (`sigma_of_series`).
+sky (`series_sigma`).
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def factor_in_force(archive: Archive, camera: str, method: str) -> float:
     return next((float(one.details["factor"]) for one in events if one.details["method"] == method), 1.0)
 
 
-def with_factor(found: Detection, factor: float) -> Detection:
+def scale_detection_sigma(found: Detection, factor: float) -> Detection:
     """Return a detection with its sigma multiplied."""
     return found if found.sigma_px is None else replace(found, sigma_px=factor * found.sigma_px)
 
@@ -62,8 +62,8 @@ def learn_sigma(archive: Archive, settings: Settings, cameras: Sequence[ValidCam
     It is never made smaller than the detector states: the scatter is that of the good ones; those at clouds, contrails
     and haze scatter more.
     """
-    for method in archive.sightings.methods_of_files(settings.name):
-        columns = archive.sightings.columns(settings.name, method=method, of_files=True)
+    for method in archive.sightings.file_methods(settings.name):
+        columns = archive.sightings.columns(settings.name, method=method, file_sightings=True)
         residual = np.full_like(columns.pixels, np.nan)
         directions = sun_directions(columns.unix_s, settings.place)
         for one in cameras:
@@ -99,7 +99,7 @@ _TAILS = 6.0
 """Robust sigmas that a residual counts as, at most: beyond are false sightings."""
 
 
-def sigma_of_series(residual: FloatArray, sigma_px: FloatArray, sky: Sequence[str]) -> FloatArray:
+def series_sigma(residual: FloatArray, sigma_px: FloatArray, sky: Sequence[str]) -> FloatArray:
     """Return (n,): 1-sigma per axis of the sightings of a series, by the scatter of those of their kind of sky.
 
     It is what is stated times the root mean square of the residuals of all sightings with one verdict and about the
@@ -114,17 +114,17 @@ def sigma_of_series(residual: FloatArray, sigma_px: FloatArray, sky: Sequence[st
     """
     ratio = np.hypot(residual[:, 0], residual[:, 1]) / sigma_px
     known = np.isfinite(ratio)
-    factor = np.full(ratio.size, _of_tails(ratio[known]))
+    factor = np.full(ratio.size, _robust_rms(ratio[known]))
     octave = np.floor(np.log2(np.where(np.isfinite(sigma_px), sigma_px, 1.0)))
     kinds = np.unique([f"{one} {size}" for one, size in zip(sky, octave, strict=True)], return_inverse=True)[1]
     for kind in np.unique(kinds):
         of_kind = kinds == kind
         if np.count_nonzero(of_kind & known) >= _LEAST_SIGHTINGS:
-            factor[of_kind] = _of_tails(ratio[of_kind & known])
+            factor[of_kind] = _robust_rms(ratio[of_kind & known])
     return np.asarray(sigma_px * factor)
 
 
-def _of_tails(ratio: FloatArray) -> float:
+def _robust_rms(ratio: FloatArray) -> float:
     """Return the root mean square of 2-D distances (n,) per axis, 1 at least and of few."""
     if ratio.size < _LEAST_SIGHTINGS:
         return 1.0

@@ -19,10 +19,10 @@ from sunarc.common.utc import to_microseconds
 from sunarc.detection.values import Detection, Expectation
 from sunarc.imager.archive.archive import CameraArchive
 from sunarc.imager.archive.pictures_of_one_time import ELSEWHERE
-from sunarc.imager.archive.sightings import FROZEN, sun_point_of
+from sunarc.imager.archive.sightings import FROZEN, make_sun_point
 from sunarc.imager.archive.values import CalibrationRecord, SunPoint
 from sunarc.imager.live.camera_record import register_camera
-from sunarc.imager.live.learned_sigma import ValidCamera, factor_in_force, learn_sigma, with_factor
+from sunarc.imager.live.learned_sigma import ValidCamera, factor_in_force, learn_sigma, scale_detection_sigma
 from sunarc.imager.runtime.status import StatusRegistry
 from sunarc.imager.settings.model import Settings
 from sunarc.imager.workers.calibrating.provisional_pose import is_provisional
@@ -30,7 +30,7 @@ from sunarc.imager.workers.image_faults import FrozenAlarm, RepeatedImages, Tran
 from sunarc.imaging.image_tiles import image_tiles
 from sunarc.sources.detect_files import Method
 from sunarc.sources.expected_sun import PREDICTED, SEARCHED, as_predicted, expectations
-from sunarc.sources.image_files import image_of
+from sunarc.sources.image_files import read_one_image
 from sunarc.sources.image_key import image_key
 from sunarc.sources.look import IN_STACK, Answer, Chunk, Item, look_at
 from sunarc.sources.sources import open_source
@@ -172,7 +172,7 @@ class LiveImages:
         time = images[0].time
         record = self.camera.archive.calibrations.current(self.camera.name, at=time)
         model = None if record is None else self._model(record)
-        expected = None if model is None else self._expected(model, time)
+        expected = None if model is None else self._predict_sun(model, time)
         answers = self._look(address, images, expected, outside=model is not None and expected is None)
         suns = {one.file: one.found for one in answers if isinstance(one.found, Detection)}
         if expected is not None and not any(found.accepted for found in suns.values()):
@@ -195,7 +195,7 @@ class LiveImages:
 
     def _repeated(self, address: str, image: LiveImage, suns: Mapping[str, Detection]) -> Finding | None:
         """Return the finding of a picture that came before; None for a new one, and for one that cannot be used."""
-        pixels = image_of(open_source(address), image.file, size=self.size)
+        pixels = read_one_image(open_source(address), image.file, size=self.size)
         if isinstance(pixels, Finding):
             return None
         places = ((one.x_px, one.y_px) for one in suns.values())  # of a bright region that is refused too
@@ -224,7 +224,7 @@ class LiveImages:
         except InputError:
             return None
 
-    def _expected(self, model: Calibration, time: datetime) -> Expectation | None:
+    def _predict_sun(self, model: Calibration, time: datetime) -> Expectation | None:
         site = self.camera.site_with_air_at(time)
         return expectations(model, np.array([time.timestamp()]), site=site)[0]
 
@@ -236,14 +236,14 @@ class LiveImages:
         size = self.size or (0, 0)
         chunk = Chunk(self.camera.name, address, self.method, size, items, stack=len(items) > 1)
         return [
-            one._replace(found=as_predicted(self._scaled(one.found), expected))
+            one._replace(found=as_predicted(self._scale_detection(one.found), expected))
             if isinstance(one.found, Detection)
             else one
             for one in look_at(chunk)
         ]
 
-    def _scaled(self, found: Detection) -> Detection:
-        return with_factor(found, factor_in_force(self.camera.archive, self.camera.name, found.method))
+    def _scale_detection(self, found: Detection) -> Detection:
+        return scale_detection_sigma(found, factor_in_force(self.camera.archive, self.camera.name, found.method))
 
     def _add_elsewhere(self, address: str, images: Sequence[LiveImage], suns: dict[str, Detection]) -> None:
         """Search the whole of images without a sun where it should be; one that is found is of a camera that moved."""
@@ -259,7 +259,7 @@ class LiveImages:
 
     def _point(self, image: LiveImage, found: Detection, ingest_pass: int) -> SunPoint:
         key = image_key(to_microseconds(image.time), image.exposure_us, image.file)
-        return sun_point_of(
+        return make_sun_point(
             found,
             camera=self.camera.name,
             pose_epoch="",

@@ -16,7 +16,7 @@ import cv2
 
 from sunarc.common.findings import Finding
 from sunarc.imager.cameras.options import RtspOptions, SnapshotOptions
-from sunarc.imager.live.snapshots import PictureClient, Snapshot, SnapshotClient, png_of
+from sunarc.imager.live.snapshots import PictureClient, Snapshot, SnapshotClient, encode_png
 from sunarc.imager.runtime.clock import Clock
 from sunarc.imager.workers import http_exchange
 from sunarc.imager.workers.options import read_login
@@ -136,7 +136,7 @@ class RtspClient:
             is_whole, frame = stream.retrieve()
             if is_whole and stream.get(cv2.CAP_PROP_LRF_HAS_KEY_FRAME) > 0.0:
                 half_s = (ended_s - began_s) / 2.0
-                return Snapshot(png_of(frame), "png", self.clock.now() - timedelta(seconds=half_s), half_s)
+                return Snapshot(encode_png(frame), "png", self.clock.now() - timedelta(seconds=half_s), half_s)
         return self._none("no key frame")
 
     def _none(self, why: str) -> Finding:
@@ -156,7 +156,9 @@ def _decoder_answers(lines: Sequence[str]) -> bool:
     return any(one.parameters.get("algorithm", "").lower() in {"", "md5", "md5-sess"} for one in taken)
 
 
-def client_of(options: SnapshotOptions | RtspOptions, clock: Clock, *, dated_by_camera: bool = False) -> PictureClient:
+def make_client(
+    options: SnapshotOptions | RtspOptions, clock: Clock, *, dated_by_camera: bool = False
+) -> PictureClient:
     """Return the client of the camera of a section of the settings; see `SnapshotClient`."""
     if isinstance(options, RtspOptions):
         return RtspClient(options, clock)

@@ -24,7 +24,7 @@ from sunarc.common.foreign_files import name_text
 from sunarc.imager.archive.images import ImageStore, write_atomically
 from sunarc.imager.cameras.frame import Frame
 from sunarc.imager.cameras.options import SnapshotOptions
-from sunarc.imager.live.file_frames import frame_of
+from sunarc.imager.live.file_frames import make_file_frame
 from sunarc.imager.live.live_images import LiveImage, LiveImages
 from sunarc.imager.runtime.clock import Clock
 from sunarc.imager.runtime.loop import DropOldestQueue, Loop
@@ -34,11 +34,11 @@ from sunarc.imager.workers.clock_watch import FrameTime
 from sunarc.imager.workers.compose import NOT_WRITTEN
 from sunarc.imager.workers.options import CaptureOptions, read_login
 from sunarc.sky.sun import DARK_ZENITH_DEG
-from sunarc.sources.image_files import FORMATS, checked_image, image_of, image_size
+from sunarc.sources.image_files import FORMATS, checked_image, image_size, read_one_image
 from sunarc.sources.image_times import exif_time
-from sunarc.sources.name_times import is_of_images
+from sunarc.sources.name_times import is_plausible_time
 from sunarc.sources.source_files import MOST_PIXELS
-from sunarc.sources.sources import Folder, hash_of
+from sunarc.sources.sources import Folder, content_hash
 
 _log = logging.getLogger(__name__)
 _MOST_BYTES = 32_000_000
@@ -96,7 +96,7 @@ class SnapshotClient:
         if isinstance(answer, Finding):
             return answer
         half_s = (self._clock.monotonic() - began_s) / 2.0
-        return self._checked(answer, requested + timedelta(seconds=half_s), half_s)
+        return self._check_picture(answer, requested + timedelta(seconds=half_s), half_s)
 
     def _answer(self, limit: http_exchange.Limit) -> http_exchange.HttpAnswer | Finding:
         """Return the answer with the picture: after the camera's challenge, and redirects on the same host."""
@@ -109,7 +109,7 @@ class SnapshotClient:
             if answer.status == 401 and self._login is not None and not asked:
                 challenges = http_exchange.challenges_in(answer.headers.get("www-authenticate", "").split("\n"))
                 answered = http_exchange.authorization(
-                    self._login, challenges, method="GET", uri=http_exchange.target_of(url)
+                    self._login, challenges, method="GET", uri=http_exchange.request_target(url)
                 )
                 if answered is None:
                     return Finding("http_login", {"host": self.host, "offers": http_exchange.offers(challenges)})
@@ -120,10 +120,10 @@ class SnapshotClient:
                     return Finding("http_redirected", {"host": self.host, "location": target})
                 url, asked = target, False
             else:
-                return self._accepted(answer)
+                return self._accept_answer(answer)
         return Finding("http_status", {"host": self.host, "status": answer.status})
 
-    def _accepted(self, answer: http_exchange.HttpAnswer) -> http_exchange.HttpAnswer | Finding:
+    def _accept_answer(self, answer: http_exchange.HttpAnswer) -> http_exchange.HttpAnswer | Finding:
         if answer.status in {401, 403}:
             return Finding("http_denied", {"host": self.host, "status": answer.status})
         if answer.status != 200:
@@ -132,13 +132,13 @@ class SnapshotClient:
             return Finding("http_too_large", {"host": self.host, "most": _MOST_BYTES})
         return answer
 
-    def _checked(self, answer: http_exchange.HttpAnswer, time: datetime, half_s: float) -> Snapshot | Finding:
+    def _check_picture(self, answer: http_exchange.HttpAnswer, time: datetime, half_s: float) -> Snapshot | Finding:
         content = answer.body
         try:
             with Pictures.open(io.BytesIO(content), formats=(*FORMATS, "PPM")) as picture:
                 (width, height), suffix = picture.size, _KEPT.get(str(picture.format), "")
             if not suffix and width * height <= MOST_PIXELS:
-                content, suffix = png_of(checked_image(content, self.host)), "png"
+                content, suffix = encode_png(checked_image(content, self.host)), "png"
         except Pictures.DecompressionBombError:
             width = height = 1 << 16
             suffix = ""
@@ -159,7 +159,7 @@ class SnapshotClient:
         return Snapshot(content, suffix, stated, 0.0)
 
 
-def png_of(image: cv2.typing.MatLike) -> bytes:
+def encode_png(image: cv2.typing.MatLike) -> bytes:
     """Return an image without a loss; compressed little, for speed."""
     return cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
 
@@ -206,7 +206,7 @@ def _http_date(text: str | None) -> datetime | None:
         found = None if text is None else parsedate_to_datetime(text)
     except (ValueError, TypeError, IndexError, OverflowError):  # of what is no date the parser raises each of them
         return None
-    return found if found is not None and found.tzinfo is not None and is_of_images(found) else None
+    return found if found is not None and found.tzinfo is not None and is_plausible_time(found) else None
 
 
 CODES = (
@@ -298,7 +298,7 @@ class SnapshotWorker:
             return
         self.board.set_condition("sightings_not_stored", None)
         repeated = left_out is not None and left_out.code == "frame_repeated"
-        self._show(None if left_out is None or repeated else self._refused(left_out))
+        self._show(None if left_out is None or repeated else self._refuse(left_out))
 
     def _look_at(self, found: Snapshot) -> Finding | None:
         """Look at a picture, and return why it is left out; None where it is not."""
@@ -309,7 +309,7 @@ class SnapshotWorker:
         self.newest_picture = path
         source, zenith = Folder(name_text(path.parent)), self.apparent_zenith(found.time)
         if zenith < self.capture.sun_zenith_deg:
-            content = hash_of(found.content)
+            content = content_hash(found.content)
             try:
                 size = image_size(source, path.name)
                 self.images.register([] if size is None else [size])
@@ -317,10 +317,10 @@ class SnapshotWorker:
             except InputError as error:
                 return Finding("file_not_image", {"error": str(error)})
         if self.night is not None and zenith >= DARK_ZENITH_DEG:
-            pixels = image_of(source, path.name, size=self.images.size)
+            pixels = read_one_image(source, path.name, size=self.images.size)
             if isinstance(pixels, Finding):
                 return pixels
-            self.night.put(frame_of(pixels, found.time.timestamp(), None, self._n_frames))
+            self.night.put(make_file_frame(pixels, found.time.timestamp(), None, self._n_frames))
         return None
 
     def _written(self, found: Snapshot) -> Path:
@@ -350,6 +350,6 @@ class SnapshotWorker:
     def _show(self, finding: Finding | None) -> None:
         self.board.set_one_condition(CODES, None if finding is None else Reason.of(finding))
 
-    def _refused(self, finding: Finding) -> Finding:
+    def _refuse(self, finding: Finding) -> Finding:
         why, remedy = finding.text, finding.remedy
         return Finding(_REFUSED[self.kind], {"why": why, "remedy": remedy})

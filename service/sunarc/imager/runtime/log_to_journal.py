@@ -59,7 +59,7 @@ class JournalHandler(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Send one record; never raises."""
-        fields = fields_of(record)
+        fields = journal_fields(record)
         try:
             self._outlet.sendto(b"".join(_field(name, text) for name, text in fields.items()), os.fspath(self._path))
         except OSError:  # longer than a datagram, or nobody there: systemd reads the level off the line
@@ -128,7 +128,7 @@ class _OneLine(logging.Formatter):
         return super().formatMessage(record)
 
 
-def fields_of(record: logging.LogRecord) -> dict[str, str]:
+def journal_fields(record: logging.LogRecord) -> dict[str, str]:
     """Return a record as the journal's fields; the message is one line, the stack stands in a field of its own."""
     message = _one_line(record.getMessage())
     fields = {"PRIORITY": str(_priority(record.levelno)), "LOGGER": record.name, "THREAD_NAME": record.threadName or ""}

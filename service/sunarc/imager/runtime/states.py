@@ -59,7 +59,7 @@ class _Condition(Protocol):
     def text(self) -> str: ...
 
 
-def state_of_condition(code: str, severity: Severity) -> State:
+def condition_state(code: str, severity: Severity) -> State:
     """Return the state that a condition makes."""
     if severity == "not_ready" or code not in _RANKS:
         return _OF_SEVERITY[severity]
@@ -77,10 +77,10 @@ def state_and_text(conditions: Iterable[_Condition]) -> tuple[State, str]:
     if not ordered:
         return "ready", WORDS["ready"]
     first = ordered[0]
-    return state_of_condition(first.code, first.severity), first.text
+    return condition_state(first.code, first.severity), first.text
 
 
 def _rank(condition: _Condition) -> tuple[int, int, str]:
-    state = state_of_condition(condition.code, condition.severity)
+    state = condition_state(condition.code, condition.severity)
     _, rank = _RANKS.get(condition.code, (state, _UNLISTED))
     return get_args(State).index(state), rank, condition.code

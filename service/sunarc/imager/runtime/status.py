@@ -14,7 +14,7 @@ from pydantic import TypeAdapter, computed_field
 
 from sunarc.common.findings import Data, Finding
 from sunarc.imager.runtime.json_fields import EXAMPLE_TIME, Returned, Time, described
-from sunarc.imager.runtime.states import Severity, State, state_and_text, state_of_condition
+from sunarc.imager.runtime.states import Severity, State, condition_state, state_and_text
 
 _log = logging.getLogger(__name__)
 
@@ -56,7 +56,7 @@ class Reason(Returned):
     @property
     def state(self) -> State:
         """The state that it makes, by its code and severity."""
-        return state_of_condition(self.code, self.severity)
+        return condition_state(self.code, self.severity)
 
     @staticmethod
     def of(finding: Finding, *, severity: Severity = "degraded", code: str | None = None) -> Reason:
@@ -75,7 +75,7 @@ def condition(code: str, *, severity: Severity = "degraded", **data: float | str
     return Reason.of(Finding(code, data), severity=severity)
 
 
-def condition_of(code: str, name: str, *, severity: Severity = "degraded", **data: float | str) -> Reason:
+def make_condition(code: str, name: str, *, severity: Severity = "degraded", **data: float | str) -> Reason:
     """Return a condition of one worker or receiver, whose name ends its code."""
     return Reason.of(Finding(code, {"name": name, **data}), severity=severity, code=worker_code(code, name))
 
@@ -318,7 +318,7 @@ class StatusRegistry:
         """Return the whole board, workers and reasons in the order of their names."""
         with self._lock:
             now = self._monotonic()
-            workers = tuple(_aged(status, now - at) for _, (status, at) in sorted(self._workers.items()))
+            workers = tuple(_age_status(status, now - at) for _, (status, at) in sorted(self._workers.items()))
             conditions = [reason for _, reason in sorted(self._reasons.items())]
             reasons = tuple(one for one in conditions if one.severity != "note")
             notes = tuple(one for one in conditions if one.severity == "note")
@@ -326,7 +326,7 @@ class StatusRegistry:
             return replace(self._noted, workers=workers, reasons=reasons, notes=notes)
 
 
-def _aged(status: WorkerStatus, elapsed_s: float) -> WorkerStatus:
+def _age_status(status: WorkerStatus, elapsed_s: float) -> WorkerStatus:
     if status.heartbeat_age_s is None:
         return status
     return replace(status, heartbeat_age_s=status.heartbeat_age_s + elapsed_s)

@@ -16,7 +16,7 @@ from sunarc.common.errors import OutsideError
 from sunarc.imager.runtime.clock import Clock
 from sunarc.imager.runtime.loop import Pauses
 from sunarc.imager.runtime.states import Severity
-from sunarc.imager.runtime.status import StatusRegistry, WorkerState, WorkerStatus, condition_of, worker_code
+from sunarc.imager.runtime.status import StatusRegistry, WorkerState, WorkerStatus, make_condition, worker_code
 
 _STUCK, _OPTIONAL_STUCK = "worker_stuck", "optional_worker_stuck"
 
@@ -102,7 +102,7 @@ class Staleness:
         stuck = age_s > self._stale_after_s
         reason = None
         if stuck:
-            reason = condition_of(self._code, self._name, severity=self._severity, limit_s=self._stale_after_s)
+            reason = make_condition(self._code, self._name, severity=self._severity, limit_s=self._stale_after_s)
         self._board.set_condition(worker_code(self._code, self._name), reason)
         return stuck
 
@@ -393,7 +393,7 @@ class _Life:
         self._publish("worker_failed", severity=self._worker.severity, retried=retried)
 
     def _publish(self, code: str, *, severity: Severity = "degraded", **data: float | str) -> None:
-        reason = condition_of(code, self.name, severity=severity, error=self._last_error or "", **data)
+        reason = make_condition(code, self.name, severity=severity, error=self._last_error or "", **data)
         self._board.set_condition(reason.code, reason)
 
     def _clear(self, *codes: str) -> None:

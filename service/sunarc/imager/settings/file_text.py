@@ -77,7 +77,7 @@ def value_in(text: str, name: str) -> Any:  # noqa: ANN401 - whatever TOML holds
     return found
 
 
-def with_values(text: str, values: Mapping[str, Value]) -> str:
+def replace_values(text: str, values: Mapping[str, Value]) -> str:
     """Return the text with settings at other values; lines of other settings, comments and line ends are kept.
 
     A setting that has a line keeps that line's comment; one whose line is commented out gets that line; of others a
@@ -95,7 +95,7 @@ def with_values(text: str, values: Mapping[str, Value]) -> str:
     for name, value in values.items():
         if value_in(text, name) == value and type(value_in(text, name)) is type(value):
             continue
-        text = _require_only(text, _with_value(text, name, value), name, value)
+        text = _require_only(text, _replace_value(text, name, value), name, value)
     return text
 
 
@@ -128,7 +128,7 @@ class _Line(NamedTuple):
     comment: str
 
 
-def _with_value(text: str, name: str, value: Value) -> str:
+def _replace_value(text: str, name: str, value: Value) -> str:
     section, _, key = name.rpartition(".")
     newline = "\r\n" if "\r\n" in text else "\n"
     lines = text.replace("\r\n", "\n").split("\n")
@@ -138,24 +138,24 @@ def _with_value(text: str, name: str, value: Value) -> str:
             lines.pop()
         lines += ["", f"[{section}]", _new_line(name, key, value), ""]
         return newline.join(lines)
-    found = _line_of(lines, begin, end, re.compile(rf"\s*{re.escape(key)}\s*=\s*"))
-    found = found or _line_of(lines, begin, end, re.compile(rf"\s*#\s*{re.escape(key)}\s*=\s*"))
+    found = _find_line(lines, begin, end, re.compile(rf"\s*{re.escape(key)}\s*=\s*"))
+    found = found or _find_line(lines, begin, end, re.compile(rf"\s*#\s*{re.escape(key)}\s*=\s*"))
     if found is None:
         at = end
         while at > begin and not lines[at - 1].strip():
             at -= 1
         lines[at:at] = [_new_line(name, key, value)]
     else:
-        lines[found.first : found.end] = [_commented(f"{key} = {toml_value(value)}", found.comment)]
+        lines[found.first : found.end] = [_comment_text(f"{key} = {toml_value(value)}", found.comment)]
     return newline.join(lines)
 
 
 def _new_line(name: str, key: str, value: Value) -> str:
     comment = _COMMENTS.get(name, "")
-    return _commented(f"{key} = {toml_value(value)}", f"# {comment}" if comment else "")
+    return _comment_text(f"{key} = {toml_value(value)}", f"# {comment}" if comment else "")
 
 
-def _commented(text: str, comment: str) -> str:
+def _comment_text(text: str, comment: str) -> str:
     return f"{text:<{_COMMENT_COLUMN - 1}} {comment}" if comment else text
 
 
@@ -182,7 +182,7 @@ def _within_value(lines: list[str], number: int) -> bool:
     return False
 
 
-def _line_of(lines: list[str], begin: int, end: int, pattern: re.Pattern[str]) -> _Line | None:
+def _find_line(lines: list[str], begin: int, end: int, pattern: re.Pattern[str]) -> _Line | None:
     for number in range(begin, end):
         match = pattern.match(lines[number])
         if match is None:

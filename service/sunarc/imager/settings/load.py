@@ -47,20 +47,20 @@ def load_hub_settings(path: Path | None) -> HubSettings:
     return _load(path, HubSettings)
 
 
-def settings_of(text: str, *, where: str) -> Settings:
+def parse_settings(text: str, *, where: str) -> Settings:
     """Return the settings of a TOML text and of the environment, as `load_settings` does; `where` names it."""
     try:
-        return _of_tables(tomllib.loads(text), Settings, where)
+        return _load_tables(tomllib.loads(text), Settings, where)
     except (ValueError, RecursionError) as error:  # a number of 5000 digits is no TOMLDecodeError
         raise ConfigurationError(f"{where}: is not TOML: {error}") from None
 
 
 def _load(path: Path | None, model: type[Loaded]) -> Loaded:
     where = str(path) if path else "settings"
-    return _of_tables({} if path is None else _read_toml(path), model, where)
+    return _load_tables({} if path is None else _read_toml(path), model, where)
 
 
-def _of_tables(tables: Mapping[str, Any], model: type[Loaded], where: str) -> Loaded:
+def _load_tables(tables: Mapping[str, Any], model: type[Loaded], where: str) -> Loaded:
     given = _merged(tables, _environment())
     try:
         _refuse_names(given)

@@ -152,7 +152,7 @@ class Settings(_WithStore):
 
     @field_validator("site", mode="before")
     @classmethod
-    def _with_timezone(cls, site: Any) -> Any:  # noqa: ANN401 - whatever was given
+    def _add_timezone(cls, site: Any) -> Any:  # noqa: ANN401 - whatever was given
         """Return a site of the library as one with a time zone."""
         if type(site) is not Site:
             return site

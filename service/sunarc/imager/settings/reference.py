@@ -10,7 +10,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
-from sunarc.common.bounds import Bound, OneOf, bounds_of, bounds_text
+from sunarc.common.bounds import Bound, OneOf, bounds_text, declared_bounds
 from sunarc.imager.settings.model import Settings
 
 _HEADING = """\
@@ -66,15 +66,15 @@ def all_settings() -> list[Setting]:
     """Return every setting, those of the top level first."""
     top: list[Setting] = []
     sections: list[Setting] = []
-    meanings = attributes_of(Settings)
+    meanings = documented_attributes(Settings)
     for name, field in Settings.model_fields.items():
         options = dataclass_in(field.annotation)
         if options is None:
             default = "required" if field.is_required() else toml_text(field.default)
-            allowed = _allowed(field.annotation)
+            allowed = _describe_allowed(field.annotation)
             top.append(Setting(name=name, default=default, allowed=allowed, meaning=meanings.get(name, "")))
         else:
-            sections += list(of_options(options, name))
+            sections += list(list_settings(options, name))
     return [setting for setting in top + sections if not setting.name.startswith(_FOR_PYTHON)]
 
 
@@ -90,24 +90,24 @@ def as_markdown() -> str:
     return "\n".join(parts)
 
 
-def attributes_of(documented: type) -> dict[str, str]:
+def documented_attributes(documented: type) -> dict[str, str]:
     """Return the meaning of each attribute of a class and its bases from their docstrings' section, on one line."""
     found = [one for each in reversed(documented.__mro__) for one in _ATTRIBUTE.findall(each.__doc__ or "")]
     return {name: " ".join(text.split()) for names, text in found for name in names.split(", ")}
 
 
-def of_options(options: type, section: str) -> Iterator[Setting]:
+def list_settings(options: type, section: str) -> Iterator[Setting]:
     """Yield the settings of one section, and of the sections within."""
-    hints, bounds, meanings = get_type_hints(options), bounds_of(options), attributes_of(options)
+    hints, bounds, meanings = get_type_hints(options), declared_bounds(options), documented_attributes(options)
     for field in fields(options):
         name, inner = f"{section}.{field.name}", dataclass_in(hints[field.name])
         if inner is not None:
-            yield from of_options(inner, name)
+            yield from list_settings(inner, name)
             continue
         yield Setting(
             name=name,
             default=_default(field),
-            allowed=_allowed(hints[field.name], bounds.get(field.name, ())),
+            allowed=_describe_allowed(hints[field.name], bounds.get(field.name, ())),
             meaning=meanings.get(field.name, ""),
         )
 
@@ -125,7 +125,7 @@ def dataclass_in(annotation: Any) -> Any:  # noqa: ANN401 - any annotation
     )
 
 
-def _allowed(annotation: Any, bounds: tuple[Bound, ...] = ()) -> str:  # noqa: ANN401 - any annotation
+def _describe_allowed(annotation: Any, bounds: tuple[Bound, ...] = ()) -> str:  # noqa: ANN401 - any annotation
     if get_origin(annotation) is Literal:
         bounds = (OneOf(get_args(annotation)),)
     if any(isinstance(bound, OneOf) for bound in bounds):

@@ -90,7 +90,7 @@ class Timeline:
         for group in np.unique(groups).tolist():
             yield self.answers[group], np.flatnonzero(groups == group)
 
-    def of_points(self) -> list[str]:
+    def point_calibrations(self) -> list[str]:
         """Return the id of the calibration that answers for each of the points."""
         names = [one.record.id for one in self.answers]
         return [names[group] for group in self.groups[np.searchsorted(self.times, self.asked)].tolist()]
@@ -299,7 +299,7 @@ async def compute(
     return answer
 
 
-def body_of(schema: str, rows: str) -> dict[str, Any]:
+def describe_body(schema: str, rows: str) -> dict[str, Any]:
     """Return the description of a body that is JSON of a schema, or rows."""
     content = {_JSON: {"schema": {"$ref": f"#/components/schemas/{schema}"}}, NPY: _BINARY}
     return {"requestBody": {"required": True, "content": content, "description": f"JSON, or as .npy: {rows}"}}

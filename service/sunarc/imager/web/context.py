@@ -123,7 +123,7 @@ class DaySites:
         revision = self._archive.revision()
         cached = self._sites.get(camera)
         if cached is None or cached[:2] != (revision, day):
-            cached = self._sites[camera] = (revision, day, self._archive.days.site_with_air_of(camera, site, day))
+            cached = self._sites[camera] = (revision, day, self._archive.days.site_in_measured_air(camera, site, day))
         return cached[2]
 
 
@@ -179,9 +179,9 @@ class ApiContext:
 
     def named(self, name: str) -> ApiContext:
         """Return the serving state of a camera; an empty name is this service's own."""
-        return self if name in ("", self.camera) else self._of_another(name)
+        return self if name in ("", self.camera) else self._other_camera(name)
 
-    def _of_another(self, name: str) -> ApiContext:
+    def _other_camera(self, name: str) -> ApiContext:
         """Return the archive's record of a camera that another service drives."""
         record = self.archive.cameras.get(name)
         if record is None:
@@ -200,9 +200,9 @@ class ApiContext:
 
     def site_with_air_at(self, time: datetime) -> Site:
         """Return the site in the measured air of the solar day of a moment, in its own where nothing was measured."""
-        return self.site_with_air_of(solar_date(time.timestamp(), longitude=self.site.longitude))
+        return self.site_in_measured_air(solar_date(time.timestamp(), longitude=self.site.longitude))
 
-    def site_with_air_of(self, day: date) -> Site:
+    def site_in_measured_air(self, day: date) -> Site:
         """Return the site in the measured air of a solar day, in its own where nothing was measured."""
         return self.sites.get(self.camera, self.site, day)
 

@@ -153,7 +153,7 @@ class Page:
         last = time(rows[-1])
         n_same_time = sum(time(row) == last for row in found[: self.skip + self.limit])
         query = [(name, value) for name, value in parse_qsl(request.url.query) if name != "cursor"]
-        return rows, f"{request.url.path}?{urlencode([*query, ('cursor', _written(last, n_same_time))])}"
+        return rows, f"{request.url.path}?{urlencode([*query, ('cursor', _write_cursor(last, n_same_time))])}"
 
 
 def page_at(cursor: str | None, limit: int) -> Page:
@@ -164,7 +164,7 @@ def page_at(cursor: str | None, limit: int) -> Page:
     return Page(last=from_microseconds(int(microseconds)), skip=int(skip), limit=limit)
 
 
-def _written(last: date, n_same_time: int) -> str:
+def _write_cursor(last: date, n_same_time: int) -> str:
     time = last if isinstance(last, datetime) else datetime(last.year, last.month, last.day, tzinfo=UTC)
     return f"{to_microseconds(time)}-{min(n_same_time, _MOST_SKIPPED)}"
 

@@ -250,7 +250,7 @@ def add_problem_handlers(app: FastAPI, faults: FaultLog) -> None:
 
     async def ours(request: Request, error: Exception) -> JSONResponse:
         if _is_fault(error):
-            name = _recorded(faults, error, request.scope)
+            name = _record_faults(faults, error, request.scope)
             return internal_problem(request.url.path, name)
         return _ours(request, error)
 
@@ -287,12 +287,12 @@ class FaultGuard:
         try:
             await self.app(scope, receive, sending)
         except Exception as error:  # noqa: BLE001 - that is its purpose
-            name = _recorded(self.faults, error, scope)
+            name = _record_faults(self.faults, error, scope)
             if not started and scope["type"] == "http":
                 await internal_problem(scope["path"], name)(scope, receive, send)
 
 
-def _recorded(faults: FaultLog, error: Exception, scope: Scope) -> str:
+def _record_faults(faults: FaultLog, error: Exception, scope: Scope) -> str:
     request = f"{scope.get('method', '')} {scope.get('path', '')}".strip()
     return faults.record(error, request=request, now_s=asyncio.get_running_loop().time())
 

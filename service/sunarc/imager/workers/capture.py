@@ -96,7 +96,7 @@ class CaptureWorker:
         exposer = self._exposer(camera, deadline_s=math.inf)
         # The camera dates the frames: before its first one there is no time to find a slot by.
         if not self.frame_time.is_known:
-            self._sign_of_life(exposer, camera.info.exposure_min_us)
+            self._test_camera(exposer, camera.info.exposure_min_us)
         for _ in loop.turns():
             daylight = self.apparent_zenith() < _DAYLIGHT_ZENITH_DEG
             every_s = self.options.cadence_s if daylight else self.options.night_cadence_s
@@ -192,14 +192,14 @@ class CaptureWorker:
     def _at_night(self, exposer: ExposureSequence, camera: SkyCamera) -> None:
         """Take the stars and the moon once it is dark, before that and without `night` a sign of life."""
         if self.night is None or self.apparent_zenith() < DARK_ZENITH_DEG:
-            self._sign_of_life(exposer, max(self.options.hdr_exposures_us))
+            self._test_camera(exposer, max(self.options.hdr_exposures_us))
             return
         exposure_us, raised_db = self.night.exposures.next_us(camera.info.exposure_bounds)
         frame = self._night_gain.take(camera, raised_db, lambda: exposer.take(exposure_us))
-        self._report.sign_of_life(succeeded=frame is not None)
+        self._report.record_test_exposure(succeeded=frame is not None)
         if frame is not None:
             if self._report.night_level(frame, apparent_zenith=self.apparent_zenith()):
-                self._sign_of_life(exposer, max(self.options.hdr_exposures_us))  # daylight, or stars in a bright sky
+                self._test_camera(exposer, max(self.options.hdr_exposures_us))  # daylight, or stars in a bright sky
             self.night.frames.put(frame)
         if self.night.moon is not None:
             wanted = self.night.moon.exposures.next_us(self.frame_time.now(), camera.info.exposure_bounds)
@@ -207,10 +207,10 @@ class CaptureWorker:
             if taken:
                 self.night.moon.frames.put(taken)
 
-    def _sign_of_life(self, exposer: ExposureSequence, exposure_us: float) -> None:
+    def _test_camera(self, exposer: ExposureSequence, exposure_us: float) -> None:
         """Take an exposure that shows only that the camera answers, and its time."""
         frame = exposer.take(exposure_us)
-        self._report.sign_of_life(succeeded=frame is not None)
+        self._report.record_test_exposure(succeeded=frame is not None)
         if frame is not None:
             self._report.night_level(frame, apparent_zenith=self.apparent_zenith())
 

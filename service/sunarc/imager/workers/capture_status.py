@@ -163,7 +163,7 @@ class CaptureReport:
         self.board.set_condition(_DAYLIGHT, reason if self._lit >= _LIT_FRAMES else None)
         return full
 
-    def sign_of_life(self, *, succeeded: bool) -> None:
+    def record_test_exposure(self, *, succeeded: bool) -> None:
         """Record whether the night's test exposure succeeded."""
         self.publish()
         self._incomplete.note(not succeeded, error=self._failure)

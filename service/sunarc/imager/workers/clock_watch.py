@@ -500,7 +500,7 @@ class ClockWatch:
 
     def _unsynchronised(self) -> Finding:
         """Return that the clock is not synchronised, with the error that it makes in degrees."""
-        return Finding("clock_unsynchronised", {"clock": self._whose, "cost": cost_of_clock(self._sigma_deg())})
+        return Finding("clock_unsynchronised", {"clock": self._whose, "cost": clock_cost_text(self._sigma_deg())})
 
     def _sigma_deg(self) -> float | None:
         """Return the 1-sigma over the sky of the served calibration; None without one that can be read."""
@@ -532,7 +532,7 @@ _ABOUT_S = 1.0
 """How near to TAI less UTC a difference must be to be called that."""
 
 
-def cost_of_clock(sigma_deg: float | None) -> str:
+def clock_cost_text(sigma_deg: float | None) -> str:
     """Return in words the error of directions by a clock that nothing corrects; `sigma_deg` is the served 1-sigma."""
     sky = f"each second that it is wrong moves the expected sun by {_SUN_DEG_PER_S:.4f}°"
     if sigma_deg is None:

@@ -14,12 +14,12 @@ import sunarc
 from sunarc.common.array_types import Image
 from sunarc.common.errors import OutsideError
 from sunarc.common.utc import rfc3339
-from sunarc.detection.values import bayer_of
+from sunarc.detection.values import bayer_pattern
 from sunarc.imager.archive.images import ImageStore
 from sunarc.imager.cameras.frame import Frame
 from sunarc.imager.runtime.loop import DropOldestQueue, entries
 from sunarc.imager.runtime.status import StatusRegistry, condition
-from sunarc.imager.workers.options import SensorOptions, sensor_of
+from sunarc.imager.workers.options import SensorOptions, frame_sensor
 from sunarc.imager.workers.sun_prediction import SunPredictor
 from sunarc.imaging.hdr import HdrImage, merge_hdr
 from sunarc.imaging.metadata import jpeg_with, png_with
@@ -61,7 +61,7 @@ class ComposeWorker:
 
     def compose(self, frames: Sequence[Frame]) -> None:
         """Merge the exposures of one cycle and write both files; a disk that refuses costs this composite alone."""
-        sensor = sensor_of(frames[0], self.options)
+        sensor = frame_sensor(frames[0], self.options)
         composite = merge_hdr(
             [frame.image for frame in frames],
             [frame.exposure_us for frame in frames],
@@ -128,7 +128,7 @@ def image_document(
             for frame in frames
         ],
         "pixel_format": first.pixel_format,
-        "bayer": bayer_of(first.pixel_format),
+        "bayer": bayer_pattern(first.pixel_format),
         "counts_per_us": composite.counts_per_us,
         "saturated_px": composite.saturated_px,
         "calibration": predictor.calibration_id(),

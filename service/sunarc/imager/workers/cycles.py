@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from sunarc.imager.cameras.frame import Frame
-from sunarc.imaging.brightness import MOST_ALL_OVER, Exposed, Level, factor_all_over, level_of
+from sunarc.imaging.brightness import MOST_ALL_OVER, Exposed, Level, factor_all_over, measure_level
 
 _log = logging.getLogger(__name__)
 COMPARABLE_S = 120.0
@@ -50,7 +50,7 @@ class CycleConsistencyFilter:
         """Return how a cycle's normal frames contradict the last accepted cycle, one sentence; None: they do not."""
         if not frames or self._reference is None:
             return None
-        factor = self._reference.factor_to(_level_of_cycle(frames))
+        factor = self._reference.factor_to(_cycle_level(frames))
         if factor is None or _is_possible(factor):
             return None
         return (
@@ -59,7 +59,7 @@ class CycleConsistencyFilter:
 
     def accepted_cycles(self, taken: Cycle) -> list[Cycle]:
         """Return the cycles to hand on now that this one is whole: an empty list, this one, or one held back too."""
-        level = _level_of_cycle(taken.good)
+        level = _cycle_level(taken.good)
         if self._reference is not None and self._reference.factor_to(level) is not None:
             self._reference, self._held_back = level, None
             return [taken]
@@ -104,9 +104,9 @@ class _CycleLevel:
         return factor_all_over(self.level, later.level)
 
 
-def _level_of_cycle(frames: Sequence[Frame]) -> _CycleLevel:
+def _cycle_level(frames: Sequence[Frame]) -> _CycleLevel:
     exposed = [Exposed(image=f.image, exposure_us=f.exposure_us, full_scale=f.full_scale) for f in frames]
-    return _CycleLevel(level=level_of(exposed), at_s=frames[0].time.timestamp())
+    return _CycleLevel(level=measure_level(exposed), at_s=frames[0].time.timestamp())
 
 
 def _is_possible(factor: float) -> bool:

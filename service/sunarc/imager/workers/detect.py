@@ -21,13 +21,13 @@ from sunarc.detection.disc.series import beside
 from sunarc.detection.values import Detection, DiscOptions, Expectation
 from sunarc.imager.archive.archive import Archive, CameraArchive
 from sunarc.imager.archive.pictures_of_one_time import ELSEWHERE
-from sunarc.imager.archive.sightings import FROZEN, sun_point_of
+from sunarc.imager.archive.sightings import FROZEN, make_sun_point
 from sunarc.imager.archive.values import SunPoint
 from sunarc.imager.cameras.frame import Frame
 from sunarc.imager.runtime.loop import DropOldestQueue, entries
 from sunarc.imager.runtime.status import StatusRegistry, condition
 from sunarc.imager.workers.image_faults import FrozenAlarm, RepeatedImages, TransferFaults, sun_moved
-from sunarc.imager.workers.options import SensorOptions, sensor_of
+from sunarc.imager.workers.options import SensorOptions, frame_sensor
 from sunarc.imager.workers.sun_prediction import SunPredictor
 from sunarc.imaging.image_tiles import image_tiles
 
@@ -314,16 +314,16 @@ class DetectWorker:
         expectation = self.predictor.expectation(frame.time)
         detection = detect_sun(
             frame.image,
-            sensor=sensor_of(frame, self.options),
+            sensor=frame_sensor(frame, self.options),
             expectation=expectation,
-            options=self._with_brightness(frame.time),
+            options=self._disc_options(frame.time),
             exposure_us=frame.exposure_us,
         )
         detection = self._beside_bracket(frame, detection, expectation)
         detection = self._or_elsewhere(frame, detection, expectation)
         detection = self.checked(self.frozen.checked(frame, detection), frame.time)
         self._faults.note(frame.image)
-        point = sun_point_of(
+        point = make_sun_point(
             detection,
             camera=self.camera,
             pose_epoch="",
@@ -353,14 +353,14 @@ class DetectWorker:
         """Return the detection, or a clean disc anywhere in a frame without one at its expected place."""
         if found.accepted or expectation is None or found.verdict not in _PERHAPS_ELSEWHERE:
             return found
-        sensor, options = sensor_of(frame, self.options), self._with_brightness(frame.time)
+        sensor, options = frame_sensor(frame, self.options), self._disc_options(frame.time)
         anywhere = detect_sun(frame.image, sensor=sensor, options=options, exposure_us=frame.exposure_us)
         if not anywhere.accepted:
             return found
         findings = (Finding("sun_elsewhere"), *found.findings)
         return replace(anywhere, accepted=False, verdict="elsewhere", findings=findings)
 
-    def _with_brightness(self, time: datetime) -> DiscOptions:
+    def _disc_options(self, time: datetime) -> DiscOptions:
         """Return the detector's settings with the clear sun's level as it was learned, unless it was set."""
         if self.disc.clear_level_per_us:
             return self.disc

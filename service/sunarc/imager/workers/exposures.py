@@ -122,7 +122,7 @@ class ExposureSequence:
                     return taken, frozenset(refused_us)
                 self.report.add(retries=int(attempt > 0))
                 frame = self.take(exposure_us)
-                inconsistency = None if frame is None else _contradiction_of_any(references, frame)
+                inconsistency = None if frame is None else _find_contradiction(references, frame)
                 if inconsistency is None:
                     taken += [] if frame is None else [frame]
                     break
@@ -140,7 +140,7 @@ class ExposureSequence:
         self.camera.distrust()
 
 
-def _contradiction_of_any(references: Sequence[Frame], frame: Frame) -> str | None:
+def _find_contradiction(references: Sequence[Frame], frame: Frame) -> str | None:
     """Return how a frame contradicts the first reference that it does."""
     return next((d for reference in references if (d := contradiction(reference, frame)) is not None), None)
 
@@ -149,10 +149,10 @@ def contradiction(first: Frame, second: Frame) -> str | None:
     """Return how two frames contradict their stated exposures; None too where they are too far apart to tell."""
     if abs((second.time - first.time).total_seconds()) > _COMPARABLE_S or first.image.shape != second.image.shape:
         return None
-    return light_ratio_contradiction(_exposed(first), _exposed(second))
+    return light_ratio_contradiction(_make_exposed(first), _make_exposed(second))
 
 
-def _exposed(frame: Frame) -> Exposed:
+def _make_exposed(frame: Frame) -> Exposed:
     return Exposed(image=frame.image, exposure_us=frame.exposure_us, full_scale=frame.full_scale)
 
 

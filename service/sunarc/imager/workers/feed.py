@@ -140,7 +140,7 @@ class FeedComparison:
             return False
         self._windows.append((since, stored.until))  # once more, when they were sent
         kinds, n_rows = ", ".join(sorted({kind for kind, _ in again})), sum(pair.own.n for pair in again.values())
-        self._say(Finding("hub_rows_sent_again", {"kinds": kinds, "n_rows": n_rows, **_days_of(again)}), "warning")
+        self._say(Finding("hub_rows_sent_again", {"kinds": kinds, "n_rows": n_rows, **_count_days(again)}), "warning")
         return True
 
     def _goes_again(self, key: KindDay, pair: _OwnAndHub) -> bool:
@@ -165,7 +165,7 @@ class FeedComparison:
         new = {key: pair for key, pair in others.items() if self._others.get(key) != pair}
         if new:
             n_rows = sum(pair.hub.n - pair.own.n for pair in new.values())
-            self._say(Finding("hub_has_other_rows", {"n_rows": n_rows, **_days_of(new)}), "warning")
+            self._say(Finding("hub_has_other_rows", {"n_rows": n_rows, **_count_days(new)}), "warning")
         self._others |= others
         self._show_lacking(self._lacking | (after.keys() - others.keys()))
 
@@ -188,7 +188,7 @@ class FeedComparison:
         self._skipped = reason
 
 
-def _days_of(pairs: Iterable[KindDay]) -> dict[str, int | str]:
+def _count_days(pairs: Iterable[KindDay]) -> dict[str, int | str]:
     """Return how many days there are, and the first."""
     days = {day for _, day in pairs}
     return {"n_days": len(days), "first": min(days).isoformat()}

@@ -54,7 +54,7 @@ class HttpAnswer:
     body: bytes
 
 
-def target_of(url: urllib.parse.SplitResult) -> str:
+def request_target(url: urllib.parse.SplitResult) -> str:
     """Return the path and query of an address, as a request has them."""
     return (url.path or "/") + (f"?{url.query}" if url.query else "")
 
@@ -191,7 +191,7 @@ def fetch(request: HttpRequest, *, context: ssl.SSLContext | None, limit: Limit,
     """
     with exchange_errors(), connected(request, context, limit) as channel:
         whole = request.proxy is not None and context is None
-        target = target_of(request.url)
+        target = request_target(request.url)
         lines = {
             "host": request.url.netloc.encode("idna").decode(),
             "content-length": str(len(request.body)),
@@ -236,7 +236,11 @@ def connected(request: HttpRequest, context: ssl.SSLContext | None, limit: Limit
     """
     host, port = request.url.hostname or "", request.url.port or (443 if context else 80)
     proxy = request.proxy
-    channel = _reached(host, port, limit) if proxy is None else _reached(proxy.hostname or "", proxy.port or 80, limit)
+    channel = (
+        _connect_host(host, port, limit)
+        if proxy is None
+        else _connect_host(proxy.hostname or "", proxy.port or 80, limit)
+    )
     try:
         if context is None:
             return channel
@@ -249,7 +253,7 @@ def connected(request: HttpRequest, context: ssl.SSLContext | None, limit: Limit
         raise
 
 
-def _reached(host: str, port: int, limit: Limit) -> socket.socket:
+def _connect_host(host: str, port: int, limit: Limit) -> socket.socket:
     error: OSError = OSError("the name has no address")
     for _, _, _, _, address in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[:_MOST_ADDRESSES]:
         try:
@@ -346,8 +350,8 @@ def _digest(login: tuple[str, str], parameters: Mapping[str, str], *, method: st
     """Return the answer to a Digest challenge; None where it is incomplete, or its algorithm is not known."""
     realm, nonce = parameters.get("realm"), parameters.get("nonce")
     algorithm = parameters.get("algorithm") or "MD5"
-    hash_of = _HASHES.get(algorithm.lower().removesuffix(_SESSION))
-    if hash_of is None or realm is None or not nonce:
+    content_hash = _HASHES.get(algorithm.lower().removesuffix(_SESSION))
+    if content_hash is None or realm is None or not nonce:
         return None
     offered = {one.strip().lower() for one in parameters.get("qop", "").split(",")} - {""}
     qop = next((one for one in ("auth", "auth-int") if one in offered), None)
@@ -355,14 +359,14 @@ def _digest(login: tuple[str, str], parameters: Mapping[str, str], *, method: st
         return None
 
     def hashed(*parts: str) -> str:
-        return hash_of(":".join(parts).encode("latin-1"))
+        return content_hash(":".join(parts).encode("latin-1"))
 
     user, password, uri = (part.encode().decode("latin-1") for part in (*login, uri))  # UTF-8 on the wire
     once, count = secrets.token_hex(8), "00000001"
     secret = hashed(user, realm, password)
     if algorithm.lower().endswith(_SESSION):
         secret = hashed(secret, nonce, once)
-    request = hashed(method, uri, hash_of(b"")) if qop == "auth-int" else hashed(method, uri)
+    request = hashed(method, uri, content_hash(b"")) if qop == "auth-int" else hashed(method, uri)
     numbered = [] if qop is None else [count, once, qop]
     response = hashed(secret, nonce, *numbered, request)
     given = {"username": user, "realm": realm, "nonce": nonce, "uri": uri, "response": response}
@@ -370,11 +374,11 @@ def _digest(login: tuple[str, str], parameters: Mapping[str, str], *, method: st
         given["opaque"] = parameters["opaque"]
     if qop is not None or algorithm.lower().endswith(_SESSION):
         given["cnonce"] = once
-    fields = [f'{name}="{_escaped(value)}"' for name, value in given.items()]
+    fields = [f'{name}="{_escape_value(value)}"' for name, value in given.items()]
     fields += [f"algorithm={algorithm}"] if "algorithm" in parameters else []
     fields += [] if qop is None else [f"qop={qop}", f"nc={count}"]
     return f"Digest {', '.join(fields)}"
 
 
-def _escaped(value: str) -> str:
+def _escape_value(value: str) -> str:
     return re.sub(r'(["\\])', r"\\\1", value)

@@ -113,13 +113,13 @@ class HubConnection:
         within_s = _WITHIN_S + (len(body) / _LEAST_BYTES_PER_S if len(rows) == 1 else 0.0)
         limit = Limit(within_s, monotonic=self._clock.monotonic, heartbeat=heartbeat)
         query = f"after={position.committed}"
-        answer = self._exchanged("PUT", query, position.installation, limit, body=body, headers=headers)
+        answer = self._exchange("PUT", query, position.installation, limit, body=body, headers=headers)
         asked = answer.headers.get("retry-after", "")
         asked_s = float(asked) if asked.isdecimal() else 0.0  # a date is no hub's
         self._asked_until_s = self._clock.monotonic() + min(asked_s, _LONGEST_ASKED_S)
         number = _parsed(answer).get("committed")
         if type(number) is not int or not -1 <= number < 2**63:
-            raise HubAnswerError(f"{_quoted(answer.body)}, which has no number `committed` from -1 on")
+            raise HubAnswerError(f"{_quote_body(answer.body)}, which has no number `committed` from -1 on")
         return number
 
     def stored_days(self, installation: str, since: date, until: date, heartbeat: Callable[[], None]) -> StoredDays:
@@ -130,13 +130,13 @@ class HubConnection:
         HubRefusal, HubUnfinishedError, HubAnswerError, OutsideError : as of `send`.
         """
         limit = Limit(_WITHIN_S, monotonic=self._clock.monotonic, heartbeat=heartbeat)
-        answer = self._exchanged("GET", f"since={since}&until={until}", installation, limit)
+        answer = self._exchange("GET", f"since={since}&until={until}", installation, limit)
         try:
             return _STORED_DAYS.validate_python(_parsed(answer))
         except ValidationError:
-            raise HubAnswerError(f"{_quoted(answer.body)}, which says nothing of days") from None
+            raise HubAnswerError(f"{_quote_body(answer.body)}, which says nothing of days") from None
 
-    def _exchanged(  # noqa: PLR0917 - of a request
+    def _exchange(  # noqa: PLR0917 - of a request
         self,
         method: str,
         query: str,
@@ -155,7 +155,7 @@ class HubConnection:
                 "sunarc-revision": head_revision(),
                 **headers,
             },
-            proxy=_proxy_of(self._url),
+            proxy=_find_proxy(self._url),
         )
         try:
             context = None if self._trust is None else self._trust.context()
@@ -172,11 +172,11 @@ def _parsed(answer: HttpAnswer) -> dict[str, Any]:
         raise _failure(answer.status, answer.body)
     found = parsed_json(answer.body)
     if not isinstance(found, dict):
-        raise HubAnswerError(f"{_quoted(answer.body)}, which is no JSON object")
+        raise HubAnswerError(f"{_quote_body(answer.body)}, which is no JSON object")
     return found
 
 
-def _quoted(body: bytes) -> str:
+def _quote_body(body: bytes) -> str:
     return repr(body[:_MOST_QUOTED].decode("utf-8", "replace"))
 
 
@@ -192,7 +192,7 @@ def _failure(status: int, body: bytes) -> HubRefusal | OutsideError:
     return HubRefusal(status, text)
 
 
-def _proxy_of(url: str) -> urllib.parse.SplitResult | None:
+def _find_proxy(url: str) -> urllib.parse.SplitResult | None:
     """Return the proxy that the environment names for an address (`https_proxy`, `no_proxy`); None without one."""
     parts = urllib.parse.urlsplit(url)
     found = urllib.request.getproxies_environment().get(parts.scheme)

@@ -15,7 +15,7 @@ from sunarc.common.findings import Finding
 from sunarc.imager.archive.archive import CameraArchive
 from sunarc.imager.runtime.status import Reason, StatusRegistry
 from sunarc.imaging.image_tiles import ImageTiles, differs_by_noise, is_same_sun, is_same_texture, shared_texture
-from sunarc.imaging.transfer_faults import missing_levels, repeated_rows
+from sunarc.imaging.transfer_faults import count_missing_levels, repeated_rows
 from sunarc.sky.directions import angular_distance
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_directions
@@ -179,7 +179,7 @@ class TransferFaults:
     def note(self, image: Image) -> None:
         """Take note of an image."""
         rows = repeated_rows(image)
-        levels = 0 if rows else missing_levels(image)
+        levels = 0 if rows else count_missing_levels(image)
         found = Finding("image_rows_repeated", {"n": rows}) if rows else Finding("image_levels_missing", {"n": levels})
         self._in_a_row = self._in_a_row + 1 if rows or levels else 0
         if self._in_a_row == 0:

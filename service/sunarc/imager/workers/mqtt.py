@@ -18,7 +18,7 @@ from sunarc.common.utc import rfc3339
 from sunarc.imager.archive.notices import CameraState, Notice
 from sunarc.imager.runtime.clock import Clock
 from sunarc.imager.workers.options import PushOptions, read_login
-from sunarc.imager.workers.push import message_of
+from sunarc.imager.workers.push import make_push_message
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client, MQTTMessageInfo
@@ -79,7 +79,7 @@ class MqttBroker:
     def publish_states(self, heartbeat: Callable[[], None]) -> None:
         """Keep the connection, and publish the changes of the cameras' states; a long message goes on next time."""
         self._heartbeat = heartbeat
-        client = self._connected()
+        client = self._connect()
         self._turn(client, 0.0)
         until_s = self.clock.monotonic() + _REFRESH_S
         under_way: deque[MQTTMessageInfo] = deque()
@@ -110,7 +110,7 @@ class MqttBroker:
     def deliver(self, notice: Notice, heartbeat: Callable[[], None]) -> None:
         """Publish a notice, and wait for the broker's receipt."""
         self._heartbeat = heartbeat
-        self._publish(self._connected(), f"{camera_topic(notice.camera)}/events", json.dumps(message_of(notice)))
+        self._publish(self._connect(), f"{camera_topic(notice.camera)}/events", json.dumps(make_push_message(notice)))
 
     def close(self, *, graceful: bool) -> None:
         """End the connection: `graceful` after the message that the service is offline; else the broker sends that."""
@@ -129,7 +129,7 @@ class MqttBroker:
         elif (channel := client.socket()) is not None:
             channel.close()
 
-    def _connected(self) -> Client:
+    def _connect(self) -> Client:
         if self._connection is None:
             client = self._new_client()
             client.will_set(self._availability, _OFFLINE, qos=1, retain=True)

@@ -17,7 +17,7 @@ from sunarc.common.bounds import require_bounds
 from sunarc.common.errors import ConfigurationError, InputError
 from sunarc.common.foreign_files import MOST_SECRET_BYTES, read_regular
 from sunarc.common.utc import DAY_S
-from sunarc.detection.values import Sensor, bayer_of
+from sunarc.detection.values import Sensor, bayer_pattern
 from sunarc.imager.cameras.frame import Frame
 
 _MOST_WEBHOOKS = 8
@@ -46,11 +46,11 @@ class PushOptions:
     def __post_init__(self) -> None:
         """Refuse invalid addresses."""
         if self.mqtt is not None:
-            parts = _checked("push.mqtt", self.mqtt, ("mqtt", "mqtts"))
+            parts = _check_url("push.mqtt", self.mqtt, ("mqtt", "mqtts"))
             if parts.path.strip("/"):
                 raise _refusal("push.mqtt", self.mqtt, "give one as mqtts://broker.example")
         for url in self.webhooks:
-            _checked("push.webhooks", url, ("http", "https"))
+            _check_url("push.webhooks", url, ("http", "https"))
         if len(self.webhooks) > _MOST_WEBHOOKS or len(set(self.webhooks)) < len(self.webhooks):
             remedy = f"give at most {_MOST_WEBHOOKS} different ones"
             raise InputError(field="push.webhooks", problem=f"{len(self.webhooks)} addresses", remedy=remedy)
@@ -59,7 +59,7 @@ class PushOptions:
             raise InputError(field="push.webhook_secret_file", problem="is missing", remedy=remedy)
 
 
-def _checked(field: str, url: str, schemes: tuple[str, ...]) -> urllib.parse.SplitResult:
+def _check_url(field: str, url: str, schemes: tuple[str, ...]) -> urllib.parse.SplitResult:
     remedy = f"give one as {schemes[-1]}://receiver.example"
     try:
         parts = urllib.parse.urlsplit(url)
@@ -146,7 +146,7 @@ class SensorOptions:
         require_bounds(self, section_path="sensor")
 
 
-def sensor_of(frame: Frame, options: SensorOptions) -> Sensor:
+def frame_sensor(frame: Frame, options: SensorOptions) -> Sensor:
     """Return the sensor's properties for the detector and the merge, by a frame's pixel format and binning.
 
     The mean of n² pixels has the noise of n² times the electrons per count; a raised gain has fewer.
@@ -157,7 +157,7 @@ def sensor_of(frame: Frame, options: SensorOptions) -> Sensor:
         gain_e_per_count=frame.binning**2 * options.full_well_e / frame.full_scale / raised,
         read_noise_e=frame.binning * options.read_noise_e,
         black_level=options.black_level_fraction * frame.full_scale,
-        bayer=bayer_of(frame.pixel_format),
+        bayer=bayer_pattern(frame.pixel_format),
         blooming=options.blooming,
         binning=frame.binning,
     )

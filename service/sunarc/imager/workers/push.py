@@ -23,7 +23,7 @@ from sunarc.imager.archive.archive import Archive
 from sunarc.imager.archive.notices import CameraState, Notice
 from sunarc.imager.runtime.clock import Clock
 from sunarc.imager.runtime.loop import Attempts, Loop, Pauses
-from sunarc.imager.runtime.status import Reason, StatusRegistry, condition, condition_of, worker_code
+from sunarc.imager.runtime.status import Reason, StatusRegistry, condition, make_condition, worker_code
 from sunarc.imager.workers import http_exchange
 from sunarc.imager.workers.options import read_secret
 
@@ -94,7 +94,7 @@ class PushWorker:
             Pauses(_POLL_S, _LONGEST_WAIT_S),
             board=self.board,
             code=worker_code(_FAILING, self.sink.name),
-            reason=lambda error, hours: condition_of(_FAILING, self.sink.name, hours=round(hours, 2), error=error),
+            reason=lambda error, hours: make_condition(_FAILING, self.sink.name, hours=round(hours, 2), error=error),
             after_s=_FAILING_S,
         )
 
@@ -110,7 +110,7 @@ class PushWorker:
         try:
             return self._attempts.attempt(partial(self._send_some, stop, heartbeat))
         except (ConfigurationError, InputError) as error:
-            self._show(_UNUSABLE, condition_of(_UNUSABLE, self.sink.name, error=str(error)))
+            self._show(_UNUSABLE, make_condition(_UNUSABLE, self.sink.name, error=str(error)))
             return _LONGEST_WAIT_S
 
     def _send_some(self, stop: threading.Event, heartbeat: Callable[[], None]) -> float | None:
@@ -134,7 +134,7 @@ class PushWorker:
         except NoticeRefusedError as refusal:
             self.archive.notices.done(self.sink.name, notice.seq, refused=True)
             n = self.archive.notices.sink_states()[self.sink.name].refused
-            reason = condition_of(_REFUSED, self.sink.name, n=n, kind=notice.kind, error=str(refusal))
+            reason = make_condition(_REFUSED, self.sink.name, n=n, kind=notice.kind, error=str(refusal))
             self._show(_REFUSED, reason)
             _log.warning("%s refused message %s (%s): %s", self.sink.name, notice.id, notice.kind, refusal)
         else:
@@ -261,7 +261,7 @@ class Webhook:
     def deliver(self, notice: Notice, heartbeat: Callable[[], None]) -> None:
         """Post a notice, and wait for the status of the answer."""
         self._read_key()
-        body = json.dumps(message_of(notice), separators=(",", ":")).encode()
+        body = json.dumps(make_push_message(notice), separators=(",", ":")).encode()
         timestamp = str(int(self.clock.now().timestamp()))
         headers = {
             "content-type": "application/json",
@@ -297,7 +297,7 @@ def webhook_name(url: str) -> str:
     return f"webhook_{urllib.parse.urlsplit(url).hostname}_{digest}"
 
 
-def message_of(notice: Notice) -> dict[str, object]:
+def make_push_message(notice: Notice) -> dict[str, object]:
     """Return a notice as the JSON object that receivers get."""
     return {
         "id": notice.id,

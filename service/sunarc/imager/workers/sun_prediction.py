@@ -47,11 +47,11 @@ class SunPredictor:
         """
         with self._lock:
             if self._clear is None or not timedelta(0) <= time - self._clear[0] < _BRIGHTNESS_EVERY:
-                self._clear = (time, self._learned(time))
+                self._clear = (time, self._learned_clear_sun(time))
             clear = self._clear[1]
         return 0.0 if clear is None else clear.level_per_us(self.apparent_zenith(time))
 
-    def _learned(self, time: datetime) -> ClearSun | None:
+    def _learned_clear_sun(self, time: datetime) -> ClearSun | None:
         unix_s, levels = self._camera.archive.sightings.sun_levels(
             self._camera.name,
             since=time - _BRIGHTNESS_OF,

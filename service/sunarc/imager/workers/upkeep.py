@@ -375,7 +375,7 @@ class ConditionTimesWorker:
             self._resume()
         if self._stored is None:
             return
-        held = self._held(self._stored)
+        held = self._held_conditions(self._stored)
         if held == self._stored:
             return
         try:
@@ -398,7 +398,7 @@ class ConditionTimesWorker:
             _log.warning(text, error)
         self._failed = True
 
-    def _held(self, stored: Mapping[str, datetime]) -> dict[str, datetime]:
+    def _held_conditions(self, stored: Mapping[str, datetime]) -> dict[str, datetime]:
         now = self.clock.now()
         present = {reason.code: reason.since for reason in self.board.snapshot().reasons if reason.since is not None}
         lasting = {

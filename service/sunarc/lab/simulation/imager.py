@@ -27,10 +27,10 @@ from sunarc.common.bounds import require_bounds
 from sunarc.common.errors import InputError, disk_errors
 from sunarc.common.findings import Finding
 from sunarc.common.utc import DAY_S, to_microseconds
-from sunarc.detection.values import bayer_of
+from sunarc.detection.values import bayer_pattern
 from sunarc.formats.calibration_document import to_document
-from sunarc.imager.cameras.frame import full_scale_of
-from sunarc.imager.cameras.packed import pack, packing_of
+from sunarc.imager.cameras.frame import largest_count
+from sunarc.imager.cameras.packed import pack, packed_layout
 from sunarc.imager.runtime.clock import Clock, SystemClock
 from sunarc.lab.simulation import fake_camera as genicam
 from sunarc.lab.simulation.fake_camera import FakeCamera, Request, fake_camera
@@ -145,7 +145,7 @@ def run_imager(
         exposure_max_us=options.exposure_max_us,
         trigger=genicam.EXPOSE if options.real_exposures else genicam.TRIGGER_SOFTWARE,
     )
-    scene = scene_of(options)
+    scene = make_scene(options)
     scene.render(to_microseconds(options.start), exposure_us=10.0)  # compiles, before anyone can ask for a frame
     with fake_camera(address=options.address, serial=options.serial, description=description) as camera:
         clock = clock or SystemClock()
@@ -167,7 +167,7 @@ def halve_speed(camera: FakeCamera) -> None:
     camera.write(genicam.SPEED, min(speed, max(speed // 2, slowest)))
 
 
-def scene_of(options: ImagerOptions) -> Scene:
+def make_scene(options: ImagerOptions) -> Scene:
     """Return the very scene that an imager with these options shows."""
     first_day = solar_date(options.start.timestamp(), longitude=options.site.longitude)
     scene = replace(options.scene, weather=_weathers(options.clouds), first_day=first_day)
@@ -259,8 +259,8 @@ class _Imager:
                     start_us,
                     exposure_us=self._light_us(request.exposure_us, bad),
                     gain_db=request.gain_steps / genicam.GAIN_STEPS_PER_DB,
-                    full_scale=full_scale_of(name),
-                    bayer=bayer_of(name),
+                    full_scale=largest_count(name),
+                    bayer=bayer_pattern(name),
                 ),
                 request.region,
             )
@@ -268,7 +268,7 @@ class _Imager:
         if bad == "half_filled":
             image = image.copy()  # the one that is kept to be repeated stays whole
             image[image.shape[0] // 2 :] = 0
-        sent = self._with_foreign_packets(_as_bytes(image, name), request, start_us * 1e-6)
+        sent = self._mix_packets(_as_bytes(image, name), request, start_us * 1e-6)
         return sent, (start_us + round(drift_us) + offset_us) * 1000
 
     def _keep(self, request: Request, image: Image) -> None:
@@ -307,7 +307,7 @@ class _Imager:
         self._bad_sent += 1
         return _BADNESSES[self._bad_sent % len(_BADNESSES)]
 
-    def _with_foreign_packets(self, sent: NDArray[np.uint8], request: Request, unix_s: float) -> NDArray[np.uint8]:
+    def _mix_packets(self, sent: NDArray[np.uint8], request: Request, unix_s: float) -> NDArray[np.uint8]:
         """Return a frame's bytes; where that is asked for with the frame before's in the packets about the sun."""
         before, self._last_sent = self._last_sent, sent
         count = self._camera.read(genicam.FOREIGN_PACKETS)
@@ -396,7 +396,7 @@ class _Imager:
 
 
 def _as_bytes(image: Image, pixel_format: str) -> NDArray[np.uint8]:
-    packing = packing_of(pixel_format)
+    packing = packed_layout(pixel_format)
     if packing is None:
         return np.ascontiguousarray(image).view(np.uint8).ravel()
     return np.frombuffer(pack(image.astype(np.uint16), packing), np.uint8)

@@ -123,7 +123,7 @@ def write_archive(made: MadeArchive, folder: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     lines = []
     for number, camera in enumerate(made.cameras):
-        address = _written(folder / camera.name, camera.container, _files(made, camera, number))
+        address = _write_container(folder / camera.name, camera.container, _files(made, camera, number))
         lines += [
             f"[cameras.{camera.name}]",
             f'sources = ["{address.name}"]',
@@ -181,7 +181,7 @@ def _files(made: MadeArchive, camera: MadeCamera, number: int) -> Iterator[tuple
         kind = _BROKEN[broken % len(_BROKEN)]
         hours = 6.0 if kind == "night" else 19.0
         time = made.first_day.timestamp() + 3600.0 * hours + 61.0 * (broken + 1)
-        yield _name(made, camera, time), _broken(kind, whole, made.size)
+        yield _name(made, camera, time), _break_content(kind, whole, made.size)
 
 
 def _name(made: MadeArchive, camera: MadeCamera, unix_s: float) -> str:
@@ -190,19 +190,19 @@ def _name(made: MadeArchive, camera: MadeCamera, unix_s: float) -> str:
     return (utc_time(unix_s) + timedelta(seconds=ahead)).strftime(camera.naming)
 
 
-def _broken(kind: str, whole: bytes, size: int) -> bytes:
+def _break_content(kind: str, whole: bytes, size: int) -> bytes:
     contents: dict[str, Callable[[], bytes]] = {
         "empty": lambda: b"",
         "truncated": lambda: whole[: len(whole) // 2],
         "text": lambda: b"404 not found",
         "other size": lambda: encoded(np.zeros((size // 2, size, 3), dtype=np.uint8)),
-        "huge header": lambda: _with_size(whole, 65_000),
+        "huge header": lambda: _state_size(whole, 65_000),
         "night": lambda: whole,
     }
     return contents[kind]()
 
 
-def _with_size(jpeg: bytes, side: int) -> bytes:
+def _state_size(jpeg: bytes, side: int) -> bytes:
     """Return a JPEG whose header states another size (the frame header's height and width)."""
     at = jpeg.index(b"\xff\xc0") + 5
     return jpeg[:at] + side.to_bytes(2, "big") * 2 + jpeg[at + 4 :]
@@ -232,7 +232,7 @@ def encoded(picture: _Picture) -> bytes:
     return cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 90])[1].tobytes()
 
 
-def _written(path: Path, container: Container, files: Iterator[tuple[str, bytes]]) -> Path:
+def _write_container(path: Path, container: Container, files: Iterator[tuple[str, bytes]]) -> Path:
     if container == "zip":
         with zipfile.ZipFile(path.with_suffix(".zip"), "w") as archive:
             for name, content in files:

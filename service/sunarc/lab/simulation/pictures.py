@@ -69,7 +69,7 @@ class PictureOptions:
 
 def write_pictures(options: PictureOptions, folder: Path, clock: Clock, stop: threading.Event) -> None:
     """Write picture after picture as allsky does, in a folder a day, until stopped; the nights are skipped."""
-    camera = _camera_of(options)
+    camera = _options_camera(options)
     folder.mkdir(parents=True, exist_ok=True)
     _write_truth(options, camera)
     rng = np.random.default_rng(options.seed)
@@ -83,7 +83,7 @@ def write_pictures(options: PictureOptions, folder: Path, clock: Clock, stop: th
         _write_picture(folder, utc_time(unix_s), picture)
 
 
-def _camera_of(options: PictureOptions) -> Camera:
+def _options_camera(options: PictureOptions) -> Camera:
     made = MadeArchive(cameras=(), size=options.size, site=options.site)
     return camera_at(made, MadeCamera(name="pictures", naming=""), options.start.timestamp())
 
@@ -138,7 +138,7 @@ class PresentPicture:
 
     def __post_init__(self) -> None:
         """Begin at the start."""
-        self.camera = _camera_of(self.options)
+        self.camera = _options_camera(self.options)
         self._lock = threading.Lock()
         self._skipped_s, self._began_s = 0.0, self.clock.monotonic()
         self._newest: tuple[int, bytes] | None = None

@@ -149,7 +149,7 @@ class Scene:
         points = scene_parts.disc_points(self.camera, sun, limb_darkening=self.options.limb_darkening)
         if points is None:
             return 0.0
-        transmittance = self._transmittance(points.direction_enu, layer) * self._uncovered(points.direction_enu, sun)
+        transmittance = self._transmittance(points.direction_enu, layer) * self._is_uncovered(points.direction_enu, sun)
         return float(np.average(transmittance, weights=points.weight_px))
 
     def _gathered(
@@ -193,16 +193,18 @@ class Scene:
         points = scene_parts.disc_points(self.camera, sun, limb_darkening=self.options.limb_darkening)
         if points is None:
             return [], 0.0
-        transmittance = self._transmittance(points.direction_enu, layer) * self._uncovered(points.direction_enu, sun)
+        transmittance = self._transmittance(points.direction_enu, layer) * self._is_uncovered(points.direction_enu, sun)
         share = float(np.average(transmittance, weights=points.weight_px))
         if share <= 0.0:
             return [], 0.0
         weight = points.weight_px * transmittance * self._disc_rate(sun[2])
-        stamps = [scene_parts.stamp_of(points.pixel, weight, sigma_px=self.options.psf_sigma_px)]
+        stamps = [scene_parts.make_stamp(points.pixel, weight, sigma_px=self.options.psf_sigma_px)]
         if self.options.ghost_strength > 0.0:
             opposite = 2.0 * np.array(self.camera.principal_point_px) - points.pixel
             stamps.append(
-                scene_parts.stamp_of(opposite, weight * self.options.ghost_strength, sigma_px=self.options.psf_sigma_px)
+                scene_parts.make_stamp(
+                    opposite, weight * self.options.ghost_strength, sigma_px=self.options.psf_sigma_px
+                )
             )
         return stamps, share
 
@@ -218,13 +220,13 @@ class Scene:
         weight = (
             points.weight_px * self._transmittance(points.direction_enu, layer) * self._disc_rate(direction[2]) * _MOON
         )
-        return [scene_parts.stamp_of(points.pixel, weight, sigma_px=self.options.psf_sigma_px)]
+        return [scene_parts.make_stamp(points.pixel, weight, sigma_px=self.options.psf_sigma_px)]
 
     def _transmittance(self, direction_enu: FloatArray, layer: scene_parts.CloudLayer) -> FloatArray:
         through = _kernels.cloud_transmittance(*layer, direction_enu.astype(np.float32))
         return np.where(scene_parts.is_blocked(direction_enu, self.options.obstructions), 0.0, through)
 
-    def _uncovered(self, direction_enu: FloatArray, sun_enu: FloatArray) -> BoolArray:
+    def _is_uncovered(self, direction_enu: FloatArray, sun_enu: FloatArray) -> BoolArray:
         return ~scene_parts.is_covered(direction_enu, sun_enu, share=self.options.sun_cover)
 
     def _disc_rate(self, sun_up: float) -> float:

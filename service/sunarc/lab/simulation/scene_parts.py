@@ -78,7 +78,7 @@ def is_covered(direction_enu: FloatArray, sun_enu: FloatArray, *, share: float) 
     return np.asarray(along < -1.0 + 2.0 * share) if share > 0.0 else np.zeros(len(direction_enu), dtype=np.bool_)
 
 
-def stamp_of(pixel: FloatArray, weight: FloatArray, *, sigma_px: float) -> Stamp:
+def make_stamp(pixel: FloatArray, weight: FloatArray, *, sigma_px: float) -> Stamp:
     """Return weighted points blurred by a Gaussian and integrated over each pixel; the stamp's sum is the weights'."""
     margin = 6.0 * sigma_px + 1.0
     x0, y0 = (int(v) for v in np.floor(pixel.min(axis=0) - margin))

@@ -117,7 +117,7 @@ class _Instrument:
 
     def turned(self, rng: np.random.Generator, degrees: float) -> _Instrument:
         """Return it turned by an angle about an axis that is drawn."""
-        return replace(self, camera=_turned(self.camera, rng, degrees))
+        return replace(self, camera=_turn_camera(self.camera, rng, degrees))
 
 
 def benchmark_case(number: int, *, seed: int, night: bool) -> tuple[BenchmarkCase, BenchmarkTruth]:
@@ -140,7 +140,7 @@ def benchmark_case(number: int, *, seed: int, night: bool) -> tuple[BenchmarkCas
         instrument = instrument.turned(rng, float(rng.uniform(0.5, 3.0)))
     sightings = _sun(rng, times, site, (before, instrument), condition)
     if night:
-        sightings = _with_stars(rng, sightings, site, instrument)
+        sightings = _add_night_stars(rng, sightings, site, instrument)
     apparent = np.where((sightings.body == SUN)[:, None], sun_directions(sightings.unix_s, site), sightings.directions)
     truth = _truth(rng, instrument, apparent, kind=kind, condition=condition, answerable=night or times.size > 60)
     case = BenchmarkCase(
@@ -206,7 +206,7 @@ def _instrument(kind: str, rng: np.random.Generator, site: Site) -> _Instrument:
     )
     scale = wave_px * min(size) / _USUAL_PX * (6.0 if kind == "unknown" else 1.0)
     lobes = 2.0 * min(size) / _USUAL_PX if kind == "unknown" else 0.0
-    nominal = _turned(nominal, rng, _COMPASS_DEG)
+    nominal = _turn_camera(nominal, rng, _COMPASS_DEG)
     waves = _waves(rng, scale_px=scale, lobes_px=lobes, edge=math.radians(edge))
     return _Instrument(camera=camera, nominal=nominal, known=kind != "unknown", outwards_px=waves)
 
@@ -234,7 +234,7 @@ def _pose(*, tilt_deg: float, toward_deg: float, turn_deg: float) -> tuple[float
     return rotation_from_pose_angles(PoseAngles(phi_xz_deg=turn_deg, theta_zz_deg=tilt_deg, psi_z_deg=toward_deg))
 
 
-def _turned(camera: Camera, rng: np.random.Generator, degrees: float) -> Camera:
+def _turn_camera(camera: Camera, rng: np.random.Generator, degrees: float) -> Camera:
     axis = rng.normal(size=3)
     turn = rotation_matrix(math.radians(degrees) * axis / np.linalg.norm(axis))
     return replace(camera, rotation_cam_enu=rotation_vector(turn @ rotation_matrix(camera.rotation_cam_enu)))
@@ -281,7 +281,7 @@ def _sun(
         noise, kept = _clouded(rng, noise, unit)
     elif condition == "haze":
         # the lower edge fades first: the sun is found too high, the lower the more
-        up = after.sees(_lifted(directions, 0.05)) - pixels
+        up = after.sees(_lift_directions(directions, 0.05)) - pixels
         noise = noise * (1.0 + 3.0 * np.exp(-elevation / 12.0))[:, None] + up * np.exp(-elevation / 6.0)[:, None]
         kept = rng.random(times.size) < np.clip(elevation / 10.0, 0.2, 1.0)
     recorded = times
@@ -292,7 +292,7 @@ def _sun(
     return Sightings.of(unix_s=recorded[kept], pixels=seen[kept], body=np.full(int(kept.sum()), SUN))
 
 
-def _lifted(directions: FloatArray, degrees: float) -> FloatArray:
+def _lift_directions(directions: FloatArray, degrees: float) -> FloatArray:
     zenith, azimuth = angles_from_direction(directions)
     return direction_from_angles(zenith_deg=np.maximum(zenith - degrees, 0.0), azimuth_deg=azimuth)
 
@@ -309,7 +309,7 @@ def _clouded(rng: np.random.Generator, noise: FloatArray, unit: float) -> tuple[
     return np.where(covered[:, None], noise + episode, noise), ~covered | (rng.random(count) < 0.6)
 
 
-def _with_stars(rng: np.random.Generator, sightings: Sightings, site: Site, instrument: _Instrument) -> Sightings:
+def _add_night_stars(rng: np.random.Generator, sightings: Sightings, site: Site, instrument: _Instrument) -> Sightings:
     """Return the sightings with those of stars in three images of the night after the last day, named."""
     evening = float(sightings.unix_s.max()) if len(sightings) else 0.0
     later = evening + np.arange(0.0, DAY_S, 600.0)
@@ -359,7 +359,7 @@ def _truth(
     cosine, sine = math.cos(spin), math.sin(spin)
     every = spread @ np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
     seen = instrument.sees(every)
-    slopes = np.stack([_slope(instrument, every, side) for side in sides_of(every)], axis=-1)
+    slopes = np.stack([_slope(instrument, every, side) for side in neighbouring_directions(every)], axis=-1)
     rows = np.flatnonzero(_in_image(instrument.camera, seen) & np.all(np.isfinite(slopes), axis=(-2, -1)))
     rows = np.sort(rng.permutation(rows)[:_QUERIES])
     directions = every[rows]
@@ -375,7 +375,7 @@ def _truth(
     )
 
 
-def sides_of(directions: FloatArray) -> tuple[FloatArray, FloatArray]:
+def neighbouring_directions(directions: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return unit vectors (m, 3) from directions (m, 3) to larger zenith angles, and to larger azimuths."""
     zenith, azimuth = (np.radians(angle) for angle in angles_from_direction(directions))
     down = np.stack([np.cos(zenith) * np.sin(azimuth), np.cos(zenith) * np.cos(azimuth), -np.sin(zenith)], axis=-1)

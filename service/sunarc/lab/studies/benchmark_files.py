@@ -21,7 +21,7 @@ from sunarc.common.foreign_files import open_regular, read_regular
 from sunarc.common.utc import parse_time, rfc3339, utc_time
 from sunarc.formats.calibration_document import from_document
 from sunarc.lab.studies.benchmark_cases import BenchmarkCase, BenchmarkTruth
-from sunarc.lab.studies.benchmark_scores import SHARES, Answered, answers_of
+from sunarc.lab.studies.benchmark_scores import SHARES, Answered, collect_answers
 from sunarc.sky.directions import angles_from_direction, direction_from_angles
 from sunarc.sky.night import SUN
 from sunarc.sky.site import Site
@@ -259,15 +259,15 @@ def _answered(name: str, path: Path, truth: BenchmarkTruth, seconds: float) -> A
     """Return the answer in a table of directions or in a calibration document."""
     try:
         if path.suffix == ".json":
-            return answers_of(from_document(_object(path)), truth.pixels, processor_s=seconds)
-        return _matched(name, list(_table(path, (*_QUERY, *_ANGLES))), truth, seconds)
+            return collect_answers(from_document(_object(path)), truth.pixels, processor_s=seconds)
+        return _match_rows(name, list(_table(path, (*_QUERY, *_ANGLES))), truth, seconds)
     except InputError as error:
         found = Finding("benchmark_entry_unreadable", {"case": name, "problem": str(error)})
         nothing = np.full((len(truth.pixels), 3), np.nan)
         return Answered(answer="failed", directions=nothing, processor_s=seconds, findings=(found,))
 
 
-def _matched(name: str, rows: Sequence[Mapping[str, str]], truth: BenchmarkTruth, seconds: float) -> Answered:
+def _match_rows(name: str, rows: Sequence[Mapping[str, str]], truth: BenchmarkTruth, seconds: float) -> Answered:
     """Return a table's rows in the order of the queries, matched by their pixels."""
     given = np.array([[_number(row[column]) for column in (*_QUERY, *_ANGLES)] for row in rows]).reshape(-1, 4)
     total, first, findings = len(truth.pixels), np.full(len(truth.pixels), -1), []

@@ -19,7 +19,7 @@ from sunarc.changes.record import calibrate_moved
 from sunarc.common.array_types import BoolArray, FloatArray
 from sunarc.common.findings import Finding
 from sunarc.common.messages import significant
-from sunarc.lab.studies.benchmark_cases import FAR_DEG, BenchmarkCase, BenchmarkTruth, sides_of
+from sunarc.lab.studies.benchmark_cases import FAR_DEG, BenchmarkCase, BenchmarkTruth, neighbouring_directions
 from sunarc.optics.inverse import unproject
 from sunarc.sky.directions import angles_from_direction, angular_distance
 
@@ -144,7 +144,7 @@ class Score:
     findings: tuple[Finding, ...] = field(default=())
 
 
-def answers_of(calibration: Calibration, pixels: FloatArray, *, processor_s: float = math.nan) -> Answered:
+def collect_answers(calibration: Calibration, pixels: FloatArray, *, processor_s: float = math.nan) -> Answered:
     """Return the answers of a calibration about pixels (m, 2); empty for a refused one."""
     directions = unproject(calibration.camera, pixels)
     if not calibration.verdict.accepted:
@@ -153,7 +153,7 @@ def answers_of(calibration: Calibration, pixels: FloatArray, *, processor_s: flo
     covariance, scales = np.full((len(pixels), 2, 2), np.nan), np.ones((len(pixels), len(SHARES)))
     _, of_pixels = project_with_covariance(calibration, directions[known])
     of_vectors = direction_covariance(calibration.camera, directions[known], of_pixels)
-    sides = np.stack(sides_of(directions[known]), axis=-1)
+    sides = np.stack(neighbouring_directions(directions[known]), axis=-1)
     covariance[known] = np.swapaxes(sides, -1, -2) @ of_vectors @ sides * math.degrees(1.0) ** 2
     if calibration.mixture is not None:
         factors = [calibration.mixture.sigma_factors(pixels, share) for share in SHARES]
@@ -213,7 +213,9 @@ def _rows(name: str, truth: BenchmarkTruth, given: Answered) -> tuple[_Rows, lis
     known = np.all(np.isfinite(given.directions), axis=-1) & (given.answer == "answered")
     seen = np.where(known[:, None], given.directions, truth.directions)
     angle = np.degrees(angular_distance(seen, truth.directions))
-    tangent = np.stack([np.sum((seen - truth.directions) * side, axis=-1) for side in sides_of(truth.directions)], -1)
+    tangent = np.stack(
+        [np.sum((seen - truth.directions) * side, axis=-1) for side in neighbouring_directions(truth.directions)], -1
+    )
     length = np.linalg.norm(tangent, axis=-1)
     # the chord's direction, with the angle's length: right at any size of the error
     offset = tangent / np.maximum(length, 1e-300)[:, None] * angle[:, None]
@@ -320,7 +322,7 @@ def as_object(one: Score) -> dict[str, Any]:
     return {key: plain(value) for key, value in stored.items()} | {"findings": findings}
 
 
-def tables_of(scores: Sequence[Score]) -> str:
+def render_tables(scores: Sequence[Score]) -> str:
     """Return the tables of some entrants, in Markdown; the best of a band stands in bold, `*`: not as it was stated."""
     refused = "refused rightly, of | refused wrongly, of"
     parts = [f"| entrant | answered, of | {refused} | worse than none | beyond {FAR_SIGMAS:.0f} sigmas | lost | s |"]

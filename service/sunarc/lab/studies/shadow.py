@@ -94,7 +94,7 @@ def study_shadow(
     return rows
 
 
-def study_shadow_of(calibration: Calibration, *, draws: int, seed: int) -> list[ShadowRow]:
+def study_calibrated_shadow(calibration: Calibration, *, draws: int, seed: int) -> list[ShadowRow]:
     """Return the errors of two cameras with the errors that a calibration states, drawn jointly over the sky."""
     ensembles = [draw_ensemble(calibration, draws=draws, seed=seed + k, calibration_id="shadow") for k in (0, 1)]
 

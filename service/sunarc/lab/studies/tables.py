@@ -107,7 +107,7 @@ def published_row(case: Case) -> TableRow:
         "sd_of_distance_px": case.sd_px,
         "rmsd_m_px": case.rmsd_m_px,
         "sd_m_px": case.sd_m_px,
-        **_named(case.focal_length_px, case.skew_px, case.principal_point_px, case.pose_deg),
+        **_make_row(case.focal_length_px, case.skew_px, case.principal_point_px, case.pose_deg),
     }
 
 
@@ -132,10 +132,10 @@ def _arc_scatter(points: Sightings) -> TableRow:
 
 def _parameters(camera: Camera) -> TableRow:
     pose = pose_angles(camera.rotation_cam_enu)
-    return _named(camera.focal_length_px, camera.skew_px, camera.principal_point_px, pose)
+    return _make_row(camera.focal_length_px, camera.skew_px, camera.principal_point_px, pose)
 
 
-def _named(
+def _make_row(
     focal_length: tuple[float, float],
     skew: float,
     principal_point: tuple[float, float],

@@ -14,9 +14,9 @@ import numpy as np
 
 from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.fit.assemble import tidied
-from sunarc.calibration.fit.effects import with_effects
+from sunarc.calibration.fit.effects import add_effects
 from sunarc.calibration.fit.marginal_likelihood import HyperparameterGrid, prior_precision
-from sunarc.calibration.fit.robust_fit import grid_of, robust_rounds
+from sunarc.calibration.fit.robust_fit import make_hyperparameter_grid, robust_rounds
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, Method
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.noise import NoiseGroups
@@ -103,7 +103,7 @@ class Batch:
             options=options,
             usable=usable,
             groups=NoiseGroups.of(usable),
-            grid=grid_of(camera, options),
+            grid=make_hyperparameter_grid(camera, options),
             problem=single_problem(usable, camera, options, circle),
         )
 
@@ -124,7 +124,7 @@ class Batch:
 
     def _robust(self, observed: Sightings, problem: FitProblem) -> Camera:
         plain = self._without_field(observed, problem)
-        problem, observed = with_effects(problem, plain, observed, outwards_px=self.options.outwards_px)
+        problem, observed = add_effects(problem, plain, observed, outwards_px=self.options.outwards_px)
         found = robust_rounds(problem, observed, plain, groups=self.groups, grid=self.grid)
         camera, mean = found.camera(), found.field_mean
         return camera if mean is None else replace(camera, displacement=found.grid.basis.displacement(mean))
@@ -224,13 +224,13 @@ def true_error(fit: Camera, truth: Camera, directions: FloatArray) -> float:
 def run_trials(trials: Sequence[Trial], *, jobs: int = 1, after_each: Callable[[], None] = lambda: None) -> FloatArray:
     """Run trials, in so many processes, and return (n, len(QUANTITIES)) in the order given."""
     rows = []
-    for row in _mapped(run_trial, trials, jobs=jobs):
+    for row in _map_trials(run_trial, trials, jobs=jobs):
         rows.append(row)
         after_each()
     return np.array(rows, dtype=np.float64).reshape(-1, len(QUANTITIES))
 
 
-def _mapped(
+def _map_trials(
     work: Callable[[Trial], tuple[float, ...]], trials: Iterable[Trial], *, jobs: int
 ) -> Iterator[tuple[float, ...]]:
     if jobs <= 1:

@@ -148,7 +148,7 @@ def cramer_rao_bound(camera: Camera, directions: FloatArray, *, method: Method, 
     """
     if sigma_px <= 0.0:
         return np.zeros(len(QUANTITIES))
-    basis, precision = prior_of(camera, method=method)
+    basis, precision = make_prior(camera, method=method)
     on_arc = _rows(camera, directions) @ basis
     root = _covariance_root(np.concatenate([on_arc / sigma_px, np.diag(np.sqrt(precision))]))
     spread = np.linalg.norm(basis @ root, axis=-1)
@@ -157,7 +157,7 @@ def cramer_rao_bound(camera: Camera, directions: FloatArray, *, method: Method, 
     return np.array([_rms(on_arc @ root), _rms(on_sky @ root), *parameters])
 
 
-def prior_of(camera: Camera, *, method: Method) -> tuple[FloatArray, FloatArray]:
+def make_prior(camera: Camera, *, method: Method) -> tuple[FloatArray, FloatArray]:
     """Return B (23, m) and the diagonal of Λ (m,)."""
     return _constraints(camera) if method == "paper" else _priors(camera)
 

@@ -216,7 +216,7 @@ def _lock(connection: Connection, camera: str | None) -> None:
 @contextmanager
 def server_errors(engine: Engine) -> Iterator[None]:
     """Raise PostgreSQL's errors as this package's, in one line with the remedy; the password is not in it."""
-    where = name_of(engine.url)
+    where = public_address(engine.url)
     try:
         yield
     except NoConnectionError as error:
@@ -236,7 +236,7 @@ def server_errors(engine: Engine) -> Iterator[None]:
         ) from error
 
 
-def is_of_row_on_server(error: DBAPIError) -> bool:
+def refuses_row_on_server(error: DBAPIError) -> bool:
     """Return whether PostgreSQL refused a row itself: privileges, constraints, data; else no row could be stored."""
     code = _sqlstate(error)
     if error.connection_invalidated or code is None:
@@ -342,12 +342,12 @@ def require_writable(connection: Connection) -> None:
     """Raise `OutsideError` where the server is a stand-by, which only reads."""
     if connection.exec_driver_sql("SELECT pg_is_in_recovery()").scalar():
         raise OutsideError(
-            f"the database {name_of(connection.engine.url)} is a stand-by; name every server in `store`, "
+            f"the database {public_address(connection.engine.url)} is a stand-by; name every server in `store`, "
             "with target_session_attrs=read-write"
         )
 
 
-def name_of(url: URL) -> str:
+def public_address(url: URL) -> str:
     """Return the address of a database, without its password and the name of the connections."""
     return url.difference_update_query(["application_name"]).render_as_string(hide_password=True)
 
@@ -428,10 +428,10 @@ def outside_errors(engine: Engine) -> Iterator[None]:
         yield
 
 
-def is_of_row(connection: Connection, error: DBAPIError) -> bool:
+def refuses_row(connection: Connection, error: DBAPIError) -> bool:
     """Return whether the database refused a row itself; else no row could be stored: server, disk, locks."""
     if connection.dialect.name == "postgresql":
-        return is_of_row_on_server(error)
+        return refuses_row_on_server(error)
     return _result_code(error) in _OF_THE_ROW
 
 

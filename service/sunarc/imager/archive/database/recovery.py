@@ -261,7 +261,7 @@ def rebuild(
             found = _copied(connection, partial, emptied=problem == EMPTIED) or _begun_again(path, partial)
         upgrade(partial)  # in its place it would be a file of another revision that no open connection reads
         close()
-        return _put(path, partial, found, problem=problem, now=now)
+        return _put_in_place(path, partial, found, problem=problem, now=now)
     except OSError as error:
         raise OutsideError(f"cannot write {path} back: {error.strerror}; free some space, or restart") from error
 
@@ -269,7 +269,7 @@ def rebuild(
 def _copied(connection: sqlite3.Connection, partial: Path, *, emptied: bool) -> Recovery | None:
     """Copy the rows that a connection still reads; None where they are no whole database."""
     done = Recovery(kind="written_back", text="written back from the open connection, nothing is lost")
-    if _closed(connection) and partial.exists():  # by an attempt that failed after it had copied
+    if _close_quietly(connection) and partial.exists():  # by an attempt that failed after it had copied
         return done
     partial.unlink(missing_ok=True)
     try:
@@ -309,7 +309,7 @@ def _salvaged_at_start(path: Path, *, now: datetime) -> Recovery:
     with closing(sqlite3.connect(path)) as connection:
         found = _salvaged(connection, path, partial)
     upgrade(partial)
-    return _put(path, partial, found, problem=DAMAGED, now=now)
+    return _put_in_place(path, partial, found, problem=DAMAGED, now=now)
 
 
 def _salvaged(connection: sqlite3.Connection, path: Path, partial: Path) -> Recovery:
@@ -383,7 +383,7 @@ def _insert(
     return inserted
 
 
-def _closed(connection: sqlite3.Connection) -> bool:
+def _close_quietly(connection: sqlite3.Connection) -> bool:
     try:
         connection.cursor()
     except sqlite3.ProgrammingError:
@@ -391,7 +391,7 @@ def _closed(connection: sqlite3.Connection) -> bool:
     return False
 
 
-def _put(path: Path, partial: Path, found: Recovery, *, problem: str, now: datetime) -> Recovery:
+def _put_in_place(path: Path, partial: Path, found: Recovery, *, problem: str, now: datetime) -> Recovery:
     aside = ""
     if path.exists():
         former = path.replace(keep_aside(path, "found", now=now))

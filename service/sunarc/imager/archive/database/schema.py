@@ -84,7 +84,7 @@ def upgrade_server(url: URL) -> bool:
             connections.require_writable(connection)
             revision = _revision(connection)
         if revision is not None and revision not in known_revisions():
-            raise _newer(revision, connections.name_of(url))
+            raise _newer(revision, connections.public_address(url))
         if revision != head_revision():
             _migrate(engine, to="head")
         return revision != head_revision()

@@ -44,7 +44,7 @@ def as_owner(folder: Path) -> Iterator[None]:
         yield
     except PermissionError as error:
         raise OutsideError(
-            f"{error.filename or folder} is not for user {_name_of(uid)}, the owner of {folder}, as whom root works "
+            f"{error.filename or folder} is not for user {_user_name(uid)}, the owner of {folder}, as whom root works "
             "there; name a place that this user may use"
         ) from error
     finally:
@@ -57,12 +57,12 @@ def as_owner(folder: Path) -> Iterator[None]:
 def _act_as(uid: int, gid: int, folder: Path) -> None:
     """Take the rights of a user; OutsideError where root may not, with part of the identity perhaps changed."""
     try:
-        os.setgroups(os.getgrouplist(_name_of(uid), gid))
+        os.setgroups(os.getgrouplist(_user_name(uid), gid))
         os.setegid(gid)
         os.seteuid(uid)
     except OSError as error:
         raise OutsideError(
-            f"root cannot act as user {_name_of(uid)}, the owner of {folder}: {error.strerror}; "
+            f"root cannot act as user {_user_name(uid)}, the owner of {folder}: {error.strerror}; "
             "run the command as that user"
         ) from None
 
@@ -99,7 +99,7 @@ def _owner_on_the_way(folder: Path, most_links: int = 40) -> tuple[int, int] | N
     return None
 
 
-def _name_of(uid: int) -> str:
+def _user_name(uid: int) -> str:
     try:
         return pwd.getpwuid(uid).pw_name
     except KeyError:

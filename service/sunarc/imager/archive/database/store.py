@@ -155,7 +155,7 @@ class Database:
             raise
 
     @contextmanager
-    def out_of_use(self) -> Iterator[None]:
+    def suspend_use(self) -> Iterator[None]:
         """Let reads and writes wait, while the file is put back.
 
         Raises
@@ -263,9 +263,9 @@ class Database:
             raise StoreFullError(f"the disk of the database {path} is full: {error}") from error
 
     def values(self, statement: sa.Select[Any], kind: type[Value]) -> tuple[Value, ...]:
-        """Return one value per row; see `values_of`."""
+        """Return one value per row; see `read_values`."""
         with self.reading() as connection:
-            return values_of(connection, statement, kind)
+            return read_values(connection, statement, kind)
 
 
 class Part:
@@ -280,7 +280,7 @@ class Part:
         self._database = database
 
 
-def values_of(connection: sa.Connection, statement: sa.Select[Any], kind: type[Value]) -> tuple[Value, ...]:
+def read_values(connection: sa.Connection, statement: sa.Select[Any], kind: type[Value]) -> tuple[Value, ...]:
     """Return one value per row; the columns carry the names of its fields.
 
     A row whose required values cannot be read (see `types`) is left out, and logged.
@@ -288,7 +288,7 @@ def values_of(connection: sa.Connection, statement: sa.Select[Any], kind: type[V
     result = connection.execute(statement)
     columns = tuple(statement.selected_columns)
     names = [str(column.key) for column in columns]
-    needed = [number for number, column in enumerate(columns) if _required(column)]
+    needed = [number for number, column in enumerate(columns) if _is_required(column)]
     keys = [number for number, column in enumerate(columns) if getattr(column, "primary_key", False)]
     rows = result.all()
     complete = [
@@ -312,7 +312,7 @@ def _made(kind: type[Value], fields: dict[str, Any]) -> Value | None:
         return None
 
 
-def _required(column: sa.ColumnElement[Any]) -> bool:
+def _is_required(column: sa.ColumnElement[Any]) -> bool:
     return isinstance(column, sa.Column) and not column.nullable and isinstance(column.type, sa.TypeDecorator)
 
 
@@ -436,12 +436,12 @@ def upsert_records(
     the first.
     """
     last = {tuple(row.get(name) for name in key): row for row in rows}
-    statement = _of_records(table.name, tuple(columns), tuple(key))
+    statement = _upsert_statement(table.name, tuple(columns), tuple(key))
     connection.execute(statement, {"rows": connections.json_text(list(last.values()))})
 
 
 @cache
-def _of_records(table: str, columns: tuple[str, ...], key: tuple[str, ...]) -> sa.TextClause:
+def _upsert_statement(table: str, columns: tuple[str, ...], key: tuple[str, ...]) -> sa.TextClause:
     names = ", ".join(columns)
     written = ", ".join(f"{name} = excluded.{name}" for name in columns if name not in key)
     return sa.text(

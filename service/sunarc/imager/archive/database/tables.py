@@ -1,7 +1,7 @@
 """The tables of the head revision, and the types of their columns; a column carries the name of the value's field.
 
 A stored value that cannot be read (a flipped bit, a hand) is None, and never an exception. A row that lacks a value
-which it must have is then left out of what is returned (see `store.values_of`).
+which it must have is then left out of what is returned (see `store.read_values`).
 """
 
 from __future__ import annotations
@@ -123,10 +123,10 @@ class FindingText(sa.TypeDecorator[tuple[Finding, ...]]):
 
     def process_result_value(self, value: Any | None, dialect: sa.Dialect) -> tuple[Finding, ...]:  # noqa: ANN401, ARG002 - SQLAlchemy's
         """Return the stored findings."""
-        return findings_of_text(value)
+        return parse_finding_text(value)
 
 
-def findings_of_text(text: Any | None) -> tuple[Finding, ...]:  # noqa: ANN401 - whatever is stored
+def parse_finding_text(text: Any | None) -> tuple[Finding, ...]:  # noqa: ANN401 - whatever is stored
     """Return the findings of a text of `FindingText`, or of a sentence."""
     stored = parsed_json(str(text)) if str(text).startswith("[{") else [text] if text else []
     return tuple(from_json(one) for one in (stored if isinstance(stored, list) else [text]))

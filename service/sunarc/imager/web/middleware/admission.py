@@ -60,7 +60,7 @@ def read_token(path: Path | None, *, setting: str) -> bytes | None:
 def require_write_token(token: bytes | None) -> Callable[..., Awaitable[None]]:
     """Return a dependency that refuses requests without the token of a digest, and all without a digest."""
 
-    async def with_token(given: Annotated[HTTPAuthorizationCredentials | None, Security(_bearer)]) -> None:
+    async def check_token(given: Annotated[HTTPAuthorizationCredentials | None, Security(_bearer)]) -> None:
         if token is None:
             fault = Fault(
                 field="authorization", problem="no change is allowed: no token is set", remedy="set api.token_file"
@@ -69,7 +69,7 @@ def require_write_token(token: bytes | None) -> Callable[..., Awaitable[None]]:
         if given is None or not _same(given.credentials, token):
             raise RefusedError(HTTPStatus.UNAUTHORIZED, _NO_TOKEN, headers=_CHALLENGE)
 
-    return with_token
+    return check_token
 
 
 @dataclass(kw_only=True, eq=False)
@@ -85,21 +85,21 @@ class ReadTokenMiddleware(HttpMiddleware):
 
     async def answer(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, or refuse it."""
-        if _is_open(scope["path"]) or self._borne(scope):
+        if _is_open(scope["path"]) or self._bears_token(scope):
             await self.app(scope, receive, send)
             return
         error = RefusedError(HTTPStatus.UNAUTHORIZED, _NO_TOKEN, headers=_CHALLENGE)
         await refusal_response(scope["path"], error)(scope, receive, send)
 
-    def _borne(self, scope: Scope) -> bool:
+    def _bears_token(self, scope: Scope) -> bool:
         given = _bearer_token(scope)
-        return given is not None and _is_one_of(given, self.tokens)
+        return given is not None and _matches_any(given, self.tokens)
 
 
 def bears_wrong_token(scope: Scope, tokens: tuple[bytes, ...]) -> bool:
     """Return whether a request bears a token that belongs to no digest; False without digests."""
     given = _bearer_token(scope)
-    return bool(tokens) and given is not None and not _is_one_of(given, tokens)
+    return bool(tokens) and given is not None and not _matches_any(given, tokens)
 
 
 def _bearer_token(scope: Scope) -> str | None:
@@ -107,7 +107,7 @@ def _bearer_token(scope: Scope) -> str | None:
     return given.strip() if scheme.lower() == "bearer" else None
 
 
-def _is_one_of(given: str, tokens: tuple[bytes, ...]) -> bool:
+def _matches_any(given: str, tokens: tuple[bytes, ...]) -> bool:
     """Compare with every token, so that the time does not reveal which one is meant."""
     return sum(_same(given, token) for token in tokens) > 0
 
@@ -157,7 +157,7 @@ class TokenBuckets:
         A price above what is left makes a debt, which the client waits for: refused for its price, a wrong token
         would be distinguishable from a right one.
         """
-        tokens = self._filled(client, now_s)
+        tokens = self._fill_bucket(client, now_s)
         enough = tokens >= 1.0
         self._buckets[client] = (tokens - price if enough else tokens, now_s)
         if len(self._buckets) > _MOST_CLIENTS:
@@ -166,9 +166,9 @@ class TokenBuckets:
 
     def give_back(self, client: str, price: float, *, now_s: float) -> None:
         """Put back a token that was taken for nothing."""
-        self._buckets[client] = (min(self._burst, self._filled(client, now_s) + price), now_s)
+        self._buckets[client] = (min(self._burst, self._fill_bucket(client, now_s) + price), now_s)
 
-    def _filled(self, client: str, now_s: float) -> float:
+    def _fill_bucket(self, client: str, now_s: float) -> float:
         tokens, at_s = self._buckets.pop(client, (self._burst, now_s))
         return min(self._burst, tokens + (now_s - at_s) * self._per_s)
 
@@ -201,7 +201,7 @@ class RateLimit(HttpMiddleware):
         try:
             client = client_network(scope)
         except ClientAddressError as error:
-            await _garbled(scope, error)(scope, receive, send)
+            await _refuse_garbled(scope, error)(scope, receive, send)
             return
         if self._allowances is None or client is None:
             await self.app(scope, receive, send)
@@ -280,7 +280,7 @@ def too_many(
     )
 
 
-def _garbled(scope: Scope, error: ClientAddressError) -> ASGIApp:
+def _refuse_garbled(scope: Scope, error: ClientAddressError) -> ASGIApp:
     remedy = "let the proxy set X-Forwarded-For to the client's address alone"
     fault = Fault(field="x-forwarded-for", problem=str(error), remedy=remedy)
     return refusal_response(scope["path"], RefusedError(HTTPStatus.BAD_REQUEST, fault))

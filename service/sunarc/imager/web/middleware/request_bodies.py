@@ -62,7 +62,7 @@ class BodyReader(HttpMiddleware):
         else:
             if body is not None:
                 scope["state"] = {**scope.get("state", {}), "use": use}
-                await self.app(scope, _replayed(body, receive), send)
+                await self.app(scope, _replay_body(body, receive), send)
 
     async def _read(self, receive: Receive, use: QuotaUse, most: int) -> bytes | None:
         """Return the body; None where the client went away."""
@@ -77,7 +77,7 @@ class BodyReader(HttpMiddleware):
                 if use.ended:
                     raise
                 problem = f"too little of it came within {self.within_s:g} s"
-                raise _refused(HTTPStatus.REQUEST_TIMEOUT, problem) from None
+                raise _refuse(HTTPStatus.REQUEST_TIMEOUT, problem) from None
             if message["type"] != "http.request":
                 return None
             part = message.get("body", b"")
@@ -111,7 +111,7 @@ class _Progress:
             self._n_received, self.end_s = 0, asyncio.get_running_loop().time() + self._within_s
 
 
-def _replayed(body: bytes, receive: Receive) -> Receive:
+def _replay_body(body: bytes, receive: Receive) -> Receive:
     given = False
 
     async def replaying() -> Message:
@@ -139,10 +139,10 @@ def is_array(scope: Scope) -> bool:
 
 def too_large(most: int) -> UnreadError:
     """Return the refusal of a body that is too large."""
-    return _refused(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"larger than {most} bytes")
+    return _refuse(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"larger than {most} bytes")
 
 
-def _refused(status: HTTPStatus, problem: str) -> UnreadError:
+def _refuse(status: HTTPStatus, problem: str) -> UnreadError:
     return UnreadError(status, Fault(field="body", problem=problem, remedy="send it in parts"))
 
 
@@ -175,7 +175,7 @@ class Boundary(HttpMiddleware):
 
     async def answer(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, or refuse it."""
-        guarded = _with_headers(send)
+        guarded = _add_headers(send)
         most, headers = _most_bytes(scope, self.max_body_bytes, self.max_array_bytes), Headers(scope=scope)
         if "content-length" in headers and "transfer-encoding" in headers:
             await _TWO_LENGTHS.response(scope["path"])(scope, receive, guarded)
@@ -197,7 +197,7 @@ def _announced_bytes(headers: Headers) -> int:
     return int(length) if length.isdecimal() else 0
 
 
-def _with_headers(send: Send) -> Send:
+def _add_headers(send: Send) -> Send:
     async def sending(message: Message) -> None:
         if message["type"] == "http.response.start":
             headers = MutableHeaders(scope=message)

@@ -13,11 +13,11 @@ from fastapi import APIRouter, Depends, Path, Query, Request
 from fastapi.responses import Response
 
 from sunarc.common.errors import InputError, NotFoundError
-from sunarc.formats.asi_core import with_obstructions
+from sunarc.formats.asi_core import leave_out_obstructions
 from sunarc.formats.calibration_document import camera_document
 from sunarc.formats.exported import Exported
 from sunarc.formats.formats import FORMATS, SERVED, ServedFormat, export
-from sunarc.imager.archive.values import CalibrationRecord, CalibrationState, Refit, fields_of
+from sunarc.imager.archive.values import CalibrationRecord, CalibrationState, Refit, field_values
 from sunarc.imager.web.context import ApiContext, SingleFlightCache
 from sunarc.imager.web.hidden_sky import hidden_by_obstructions, obstructions_key
 from sunarc.imager.web.middleware.admission import require_write_token
@@ -49,7 +49,7 @@ def calibration_routes(context: ApiContext) -> APIRouter:
     """Return the routes of calibrations."""
     routes = APIRouter(tags=["calibrations"])
 
-    made = {name: SingleFlightCache(partial(_exported, name), key=tag_of) for name in SERVED}
+    made = {name: SingleFlightCache(partial(_make_export, name), key=document_tag) for name in SERVED}
     written = {"whole": _Written(_text), "camera": _Written(_camera_text)}
 
     @routes.get("/calibration", dependencies=BY_CALIBRATION, responses=_EXPORTED | answers(404, 422))
@@ -101,14 +101,14 @@ def summary(record: CalibrationRecord) -> CalibrationSummary:
     """Return the entry of a calibration in a list."""
     metrics, uncertainty = record.document.get("metrics", {}), record.document.get("uncertainty", {})
     return CalibrationSummary(
-        **fields_of(record),
+        **field_values(record),
         reasons=list(record.reasons),
         rmse_px=metrics.get("rmse_px"),
         sky_rms_deg=uncertainty.get("sky_rms_deg"),
     )
 
 
-def tag_of(record: CalibrationRecord) -> str:
+def document_tag(record: CalibrationRecord) -> str:
     """Return a tag that changes with a calibration's document."""
     return hashlib.sha256(_text(record)).hexdigest()[:32]
 
@@ -130,16 +130,16 @@ class _Written:
         last = self._last
         if last is None or last[0] is not record:
             text = self._text(record)
-            last = self._last = record, text, etag_of(text)
-        return _with_tag(last[1], last[2], if_none_match)
+            last = self._last = record, text, make_etag(text)
+        return _tagged_response(last[1], last[2], if_none_match)
 
 
 def tagged(content: bytes, if_none_match: str | None) -> Response:
     """Return JSON with a tag of its content; nothing but the tag to a client that has it."""
-    return _with_tag(content, etag_of(content), if_none_match)
+    return _tagged_response(content, make_etag(content), if_none_match)
 
 
-def etag_of(content: bytes) -> str:
+def make_etag(content: bytes) -> str:
     """Return the ETag of this content, or of the values that decide it."""
     return f'"{hashlib.sha256(content).hexdigest()[:32]}"'
 
@@ -152,7 +152,7 @@ def decimal(value: float, *, digits: int = 4) -> str:
     return np.format_float_positional(value, precision=digits, unique=False, fractional=False, trim="-")
 
 
-def _with_tag(content: bytes, tag: str, if_none_match: str | None) -> Response:
+def _tagged_response(content: bytes, tag: str, if_none_match: str | None) -> Response:
     headers = {"etag": tag, "cache-control": "no-cache"}
     if matches(if_none_match, tag):
         return Response(status_code=304, headers=headers)
@@ -171,7 +171,7 @@ def _json(document: Mapping[str, Any]) -> bytes:
     return json.dumps(document, allow_nan=False, separators=(",", ":")).encode()
 
 
-def _exported(format_: ServedFormat, record: CalibrationRecord) -> Exported:
+def _make_export(format_: ServedFormat, record: CalibrationRecord) -> Exported:
     return export(record.document, format_)
 
 
@@ -183,14 +183,14 @@ def _export(
     if_none_match: str | None,
 ) -> Response:
     masked = obstructions_key(context, record) if format_ == "asi-core" else ""
-    tag = f'"{tag_of(record)}-{format_}{hashlib.sha256(masked.encode()).hexdigest()[:8] if masked else ""}"'
+    tag = f'"{document_tag(record)}-{format_}{hashlib.sha256(masked.encode()).hexdigest()[:8] if masked else ""}"'
     headers = {"etag": tag, "cache-control": "no-cache"}
     if matches(if_none_match, tag):
         return Response(status_code=304, headers=headers)
     exported = made.get(record)
     hidden = hidden_by_obstructions(context, record) if masked else None
     if hidden is not None:
-        exported = with_obstructions(exported, hidden)
+        exported = leave_out_obstructions(exported, hidden)
     headers["content-disposition"] = f'attachment; filename="{FORMATS[format_].file}"'
     if exported.difference is not None:
         headers |= {

@@ -12,7 +12,7 @@ from sunarc.calibration.answers.direction_table import BACK_PROJECTED, PROJECTED
 from sunarc.calibration.answers.error_model import Ensemble
 from sunarc.common.array_types import FloatArray
 from sunarc.imager.web.arrays import Rows, parsed_body
-from sunarc.imager.web.bulk import Answering, Computation, ComputeSlots, Question, body_of, compute, row_responses
+from sunarc.imager.web.bulk import Answering, Computation, ComputeSlots, Question, compute, describe_body, row_responses
 from sunarc.imager.web.context import ApiContext
 from sunarc.imager.web.parameters import BY_CALIBRATION, At, Draws, Seed
 from sunarc.imager.web.problems import answers
@@ -30,7 +30,7 @@ def direction_routes(context: ApiContext, slots: ComputeSlots) -> APIRouter:
         dependencies=BY_CALIBRATION,
         response_model=BackProjectAnswer,
         responses=row_responses(BACK_PROJECTED) | failures,
-        openapi_extra=body_of("BackProjectRequest", "(n, 2) x and y in px."),
+        openapi_extra=describe_body("BackProjectRequest", "(n, 2) x and y in px."),
     )
     async def back_project(request: Request, at: At = None, draws: Draws = 0, seed: Seed = 0) -> Response:
         """Return the directions of pixels, with their uncertainty, now or at the time `at`."""
@@ -41,7 +41,7 @@ def direction_routes(context: ApiContext, slots: ComputeSlots) -> APIRouter:
         dependencies=BY_CALIBRATION,
         response_model=ProjectAnswer,
         responses=row_responses(PROJECTED) | failures,
-        openapi_extra=body_of("ProjectRequest", "(n, 3) vectors, east-north-up, of any length but 0."),
+        openapi_extra=describe_body("ProjectRequest", "(n, 3) vectors, east-north-up, of any length but 0."),
     )
     async def project(request: Request, at: At = None, draws: Draws = 0, seed: Seed = 0) -> Response:
         """Return the pixels of directions, with their uncertainty, now or at the time `at`."""

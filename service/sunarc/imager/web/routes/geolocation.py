@@ -166,7 +166,7 @@ def geolocation_routes(context: ApiContext, slots: bulk.ComputeSlots) -> APIRout
         dependencies=BY_CALIBRATION,
         response_model=GeolocateAnswer,
         responses=bulk.row_responses(LOCATED) | answers(404, 408, 413, 415, 422, 503),
-        openapi_extra=bulk.body_of(
+        openapi_extra=bulk.describe_body(
             "GeolocateRequest",
             "(n, 3) x, y in px, cloud base height in m, without a place where it is not above 0 and at most 30 000; "
             "(n, 4) with the height's 1-sigma in m; (n, 5) with that and a time for each point, s since 1970-01-01 UTC "
@@ -234,7 +234,7 @@ def _locate(answering: bulk.Answering, points: Rows) -> Rows:
 def _located_at(answering: bulk.Answering, exact: FloatArray, unix_s: float | FloatArray) -> FloatArray:
     """Return the answer's rows for points that see the sun of one time, or each of its own, of one solar day."""
     site = answering.context.site_with_air_at(answering.time)
-    exact = _with_heights(exact)
+    exact = _check_heights(exact)
     cloud = cloud_positions(
         answering.ready, exact[:, :2], height_m=exact[:, 2], height_sigma_m=_height_sigma(exact), site=site
     )
@@ -243,7 +243,7 @@ def _located_at(answering: bulk.Answering, exact: FloatArray, unix_s: float | Fl
         return np.concatenate([_row(cloud), _row(shadow)], axis=1)
 
 
-def _with_heights(points: FloatArray) -> FloatArray:
+def _check_heights(points: FloatArray) -> FloatArray:
     """Return points whose height is NaN where it cannot be a cloud's: an array's values are not refused one by one."""
     valid = _are_heights(points[:, 2])
     if not np.all(valid):
@@ -261,7 +261,7 @@ def _draw_places(answering: bulk.Answering, ensemble: Ensemble, draw: int, point
     """Return (n, 12): clouds and shadows by one draw; its heights are off by one number of sigmas, all to one side."""
     site, exact = (
         answering.context.site_with_air_at(answering.time),
-        _with_heights(np.asarray(points, dtype=np.float64)),
+        _check_heights(np.asarray(points, dtype=np.float64)),
     )
     directions = ensemble.back_project(draw, exact[:, :2])
     height = exact[:, 2] + ensemble.common[draw] * _height_sigma(exact)
@@ -311,7 +311,7 @@ def _each_json(each: bulk.Timeline) -> dict[str, Any]:
         sun = sun_angles(each.asked[at], one.context.site_with_air_at(one.time))
         zenith[at], azimuth[at] = sun.apparent_zenith, sun.azimuth
     return {
-        "calibration": each.of_points(),
+        "calibration": each.point_calibrations(),
         "time": [bulk.moment(time) for time in each.asked.tolist()],
         "sun": {"apparent_zenith": zenith.tolist(), "azimuth": azimuth.tolist()},
     }

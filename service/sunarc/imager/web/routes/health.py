@@ -8,7 +8,7 @@ from fastapi import APIRouter, Request
 from fastapi.responses import JSONResponse, Response
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_latest
 
-from sunarc.imager.archive.values import fields_of
+from sunarc.imager.archive.values import field_values
 from sunarc.imager.runtime.status import StatusSnapshot
 from sunarc.imager.web import schemas
 from sunarc.imager.web.context import ApiContext
@@ -84,7 +84,7 @@ def _status(context: ApiContext) -> schemas.Status:
     days = days_out(context, context.archive.days.find(context.camera, limit=1))
     camera = context.archive.cameras.get(context.camera)
     return schemas.Status(
-        **fields_of(snapshot),
+        **field_values(snapshot),
         health=snapshot.health,
         state=snapshot.state,
         state_text=snapshot.state_text,

@@ -23,9 +23,9 @@ from sunarc.imager.runtime.json_fields import Time
 from sunarc.imager.web.context import ApiContext
 from sunarc.imager.web.parameters import AnsweringId, Cursor, IfNoneMatch, Next, Since, Until, page_at, row_limit
 from sunarc.imager.web.problems import Fault, RefusedError, answers, described_answer
-from sunarc.imager.web.routes.calibrations import decimal, etag_of, matches
+from sunarc.imager.web.routes.calibrations import decimal, make_etag, matches
 from sunarc.imager.web.routes.stored_answers import RANGED, byte_range
-from sunarc.imaging.metadata import document_of
+from sunarc.imaging.metadata import embedded_document
 from sunarc.imaging.preview import decoded
 
 Kind = Literal["png", "jpeg"]
@@ -108,8 +108,8 @@ def image_routes(context: ApiContext) -> APIRouter:
         kinds = (format_,) if format_ else ("jpeg",) if width else _accepted(request.headers.get("accept"))
         selected = context.of(request)
         path = image_file(selected, time, kinds if width is None else ("jpeg", "png"))
-        kind = kinds[0] if width else _kind_of(path)
-        tag = etag_of(f"{path}-{kind}-{width or 0}".encode(errors="surrogateescape"))
+        kind = kinds[0] if width else _path_kind(path)
+        tag = make_etag(f"{path}-{kind}-{width or 0}".encode(errors="surrogateescape"))
         headers = _headers(selected, time, path) | {"etag": tag, "cache-control": _IMMUTABLE}
         if matches(if_none_match, tag):
             return Response(status_code=HTTPStatus.NOT_MODIFIED, headers=headers)
@@ -135,7 +135,7 @@ def _between(
     return sorted(found.items(), reverse=True)[:limit]
 
 
-def _kind_of(path: Path) -> Kind:
+def _path_kind(path: Path) -> Kind:
     return "png" if path.suffix.lower() == ".png" else "jpeg"
 
 
@@ -146,7 +146,7 @@ def _composite(context: ApiContext, time: datetime, path: Path) -> Composite:
     except OSError:  # removed meanwhile, to make room
         size = 0
     calibration = None if answering is None else answering.id
-    return Composite(time=time, calibration=calibration, format=_kind_of(path), bytes=size)
+    return Composite(time=time, calibration=calibration, format=_path_kind(path), bytes=size)
 
 
 def _accepted(accept: str | None) -> tuple[Kind, ...]:
@@ -172,7 +172,7 @@ def image_file(context: ApiContext, time: datetime, kinds: Sequence[Kind] = ("jp
             if rows:
                 return rows[0][1]
     for _, path in () if context.pictures is None else context.pictures(begin, end, 1):
-        if _kind_of(path) in kinds:
+        if _path_kind(path) in kinds:
             return path
     wanted = " or ".join(kinds)
     raise NotFoundError(
@@ -198,7 +198,7 @@ def _headers(context: ApiContext, time: datetime, path: Path) -> dict[str, str]:
         headers["sunarc-calibration"] = answering.id
     try:
         with open_regular(path) as file:
-            document = document_of(file.read(_HEAD_BYTES)) or {}
+            document = embedded_document(file.read(_HEAD_BYTES)) or {}
     except OSError as error:
         raise OutsideError(f"the image {path.name} cannot be read: {error.strerror}") from error
     exposures = [one["exposure_us"] for one in document.get("exposures", ())]

@@ -33,7 +33,7 @@ from sunarc.imager.web.context import ApiContext
 from sunarc.imager.web.hidden_sky import hidden_by_obstructions, obstructions_key
 from sunarc.imager.web.parameters import BY_CALIBRATION, At, IfNoneMatch
 from sunarc.imager.web.problems import answers, described_answer
-from sunarc.imager.web.routes.calibrations import decimal, etag_of
+from sunarc.imager.web.routes.calibrations import decimal, make_etag
 from sunarc.imager.web.routes.images import Captured, decoded_preview, image_file
 from sunarc.imager.web.routes.stored_answers import RANGED, AnswerFiles, ResponseBody, Tagged
 from sunarc.optics.camera import Camera
@@ -118,7 +118,7 @@ def _tag(requested: _Map) -> str:
     """Return a tag that changes with a map: its calibration, its masks, and its writer."""
     masks = obstructions_key(requested.context, requested.record)
     parts = (masks, requested.record.id, sunarc.__version__, requested.format, requested.sun, requested.site)
-    return etag_of(repr(parts).encode())
+    return make_etag(repr(parts).encode())
 
 
 def _sun_mask(site: Site, time: datetime, radius_deg: float, found: BackProjectionMap) -> dict[str, Variable]:
@@ -174,7 +174,7 @@ def mask_routes(context: ApiContext, files: AnswerFiles) -> APIRouter:
         key = repr(
             (name, record.id, sunarc.__version__, limit, axis.tolist(), None if hidden is None else hidden.tobytes())
         )
-        tag, headers = etag_of(key.encode()), {"sunarc-calibration": record.id, "cache-control": "no-cache"}
+        tag, headers = make_etag(key.encode()), {"sunarc-calibration": record.id, "cache-control": "no-cache"}
         asked = Tagged(request=request, headers=headers | {"etag": tag}, if_none_match=if_none_match)
 
         def made() -> ResponseBody:
@@ -278,7 +278,7 @@ class _AskedTables:
     def tag(self, *more: str) -> str:
         """Return a tag that changes with the grid and with the other named values."""
         text = json.dumps([sunarc.__version__, self.grid, self.size, self.height_m, self.half_width_m, *more])
-        return etag_of(text.encode())
+        return make_etag(text.encode())
 
 
 def remap_routes(context: ApiContext, files: AnswerFiles) -> APIRouter:
@@ -301,10 +301,10 @@ def remap_routes(context: ApiContext, files: AnswerFiles) -> APIRouter:
         """Return float32 tables that take an image to the grid: cv2.remap(image, map_x, map_y, cv2.INTER_LINEAR)."""
         asked = _AskedTables(grid=grid, size=size, height_m=height, half_width_m=half_width)
         selected, record = await run_in_threadpool(context.answering, request, at)
-        tagged = _tagged(request, if_none_match, asked.tag(record.id, format_))
+        tagged = _make_tagged(request, if_none_match, asked.tag(record.id, format_))
         content = partial(_tables, selected, record, asked, format_)
         stated = partial(_stated, selected, record, asked)
-        return await files.answer(tagged, slots, partial(_made, content, stated, str(FORMATS[format_].media_type)))
+        return await files.answer(tagged, slots, partial(_make_body, content, stated, str(FORMATS[format_].media_type)))
 
     @routes.get(
         "/images/{time}/rectified",
@@ -326,20 +326,20 @@ def remap_routes(context: ApiContext, files: AnswerFiles) -> APIRouter:
         asked = _AskedTables(grid=grid, size=size, height_m=height, half_width_m=half_width)
         selected, record = await run_in_threadpool(context.answering, request, time)
         path = await run_in_threadpool(image_file, selected, time)
-        tagged = _tagged(request, if_none_match, asked.tag(record.id, path.stem))
+        tagged = _make_tagged(request, if_none_match, asked.tag(record.id, path.stem))
         content = partial(_picture, selected, record, asked, path)
         stated = partial(_stated, selected, record, asked)
-        return await files.answer(tagged, slots, partial(_made, content, stated, "image/png"))
+        return await files.answer(tagged, slots, partial(_make_body, content, stated, "image/png"))
 
     return routes
 
 
-def _tagged(request: Request, if_none_match: str | None, tag: str) -> Tagged:
+def _make_tagged(request: Request, if_none_match: str | None, tag: str) -> Tagged:
     headers = {"etag": tag, "cache-control": "private, no-cache"}
     return Tagged(request=request, headers=headers, if_none_match=if_none_match)
 
 
-def _made(content: Callable[[], bytes], stated: Callable[[], dict[str, str]], media_type: str) -> ResponseBody:
+def _make_body(content: Callable[[], bytes], stated: Callable[[], dict[str, str]], media_type: str) -> ResponseBody:
     return ResponseBody(content=content(), media_type=media_type, headers=stated())
 
 

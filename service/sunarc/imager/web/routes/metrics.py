@@ -176,7 +176,7 @@ def _single(name: str, text: str, value: float | None) -> Metric:
     return labelled(name, text, (), {} if value is None else {(): value})
 
 
-def _counted(name: str, text: str, label: str, counts: Mapping[str, int]) -> Metric:
+def _count_metric(name: str, text: str, label: str, counts: Mapping[str, int]) -> Metric:
     return labelled(name, text, (label,), {(value,): float(n) for value, n in sorted(counts.items())})
 
 
@@ -209,11 +209,11 @@ def record_metrics(archive: Archive, camera: str, *, now: datetime) -> Iterator[
     """
     sightings = archive.sightings.count(camera, since=now - _A_DAY, until=now + _A_DAY)
     text = "Sightings of the last 24 h by verdict, also those of a clock that was ahead."
-    yield _counted("sunarc_sightings_last_day", text, "verdict", sightings)
+    yield _count_metric("sunarc_sightings_last_day", text, "verdict", sightings)
     days = dict.fromkeys(get_args(DayVerdict), 0) | dict(archive.days.count(camera))
-    yield _counted("sunarc_days", "Days that were judged, by verdict.", "verdict", days)
+    yield _count_metric("sunarc_days", "Days that were judged, by verdict.", "verdict", days)
     refits = dict.fromkeys(get_args(RefitState), 0) | dict(archive.refits.count(camera))
-    yield _counted("sunarc_refits", "Refits by state.", "state", refits)
+    yield _count_metric("sunarc_refits", "Refits by state.", "state", refits)
     alarms = archive.events.count_alarms(camera)
     for name, (condition, text) in _CHANGES.items():
         counter = CounterMetricFamily(f"sunarc_camera_{name}", text)
@@ -221,11 +221,11 @@ def record_metrics(archive: Archive, camera: str, *, now: datetime) -> Iterator[
         yield counter
     waiting = archive.events.find(camera, to_acknowledge=True)
     yield _single("sunarc_events_to_acknowledge", "Events that wait for an operator.", float(len(waiting)))
-    yield from _of_last_day(next(iter(archive.days.find(camera, limit=1)), None))
-    yield from _of_last_night(next(iter(archive.nights.find(camera, limit=1)), None))
+    yield from _day_metrics(next(iter(archive.days.find(camera, limit=1)), None))
+    yield from _night_metrics(next(iter(archive.nights.find(camera, limit=1)), None))
 
 
-def _of_last_day(day: Day | None) -> Iterator[Metric]:
+def _day_metrics(day: Day | None) -> Iterator[Metric]:
     values: dict[str, tuple[str, float | None]] = {
         "seconds": (
             "Date of the last day that was judged, its midnight UTC as Unix time.",
@@ -263,7 +263,7 @@ _OF_NIGHT = {
 """Numbers of a night that are metrics, and their descriptions."""
 
 
-def _of_last_night(night: Night | None) -> Iterator[Metric]:
+def _night_metrics(night: Night | None) -> Iterator[Metric]:
     """Yield the known numbers of the last night that was judged; nothing without one."""
     evening = None if night is None else datetime.combine(night.date, time(), UTC).timestamp()
     yield _single("sunarc_night_seconds", "Date of the last night that was judged (its evening) as Unix time.", evening)

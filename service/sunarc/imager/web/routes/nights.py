@@ -110,7 +110,7 @@ def night_routes(context: ApiContext) -> APIRouter:
         selected, page = context.of(request), page_at(cursor, limit)
         found = selected.archive.nights.find(selected.camera, since=since, until=page.until(until), limit=page.rows)
         rows, next_ = page.cut(found, request, time=lambda night: night.decided_at)
-        nights = [_shown(night, images=images, picture=_has_picture(selected, night)) for night in rows]
+        nights = [_describe_night(night, images=images, picture=_has_picture(selected, night)) for night in rows]
         return Nights(nights=nights, pose=_pose(selected), next=next_)
 
     @routes.get("/nights/{night}/image", response_class=Response, responses=_IMAGE | answers(404, 422))
@@ -166,6 +166,6 @@ def _newest(context: ApiContext, night: date, kind: str) -> tuple[datetime, Path
     return found[0]
 
 
-def _shown(night: Night, *, images: bool, picture: bool) -> NightWithPicture:
+def _describe_night(night: Night, *, images: bool, picture: bool) -> NightWithPicture:
     values = {one.name: getattr(night, one.name) for one in fields(night)}
     return NightWithPicture(**values if images else values | {"images": None}, picture=picture)

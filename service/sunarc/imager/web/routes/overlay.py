@@ -21,7 +21,7 @@ from sunarc.imager.web.context import ApiContext
 from sunarc.imager.web.parameters import BY_CALIBRATION, Answers, At, IfNoneMatch, Pair, Size
 from sunarc.imager.web.problems import Responses, answers
 from sunarc.imager.web.routes.calibrations import tagged
-from sunarc.imager.web.routes.sun import track_of
+from sunarc.imager.web.routes.sun import compute_sun_track
 from sunarc.imager.web.schemas import SunTrack
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
@@ -117,7 +117,7 @@ _Cells = Annotated[int, Query(ge=4, le=96, description="Cells along the image's 
 _SOLSTICES = (("june solstice", 6, 21), ("december solstice", 12, 21))
 
 
-def _described(model: type[BaseModel]) -> Responses:
+def _describe_responses(model: type[BaseModel]) -> Responses:
     return {
         200: {"model": model, "headers": {"ETag": {"description": "Changes with it.", "schema": {"type": "string"}}}},
         304: {"description": "It is the one that If-None-Match names."},
@@ -131,18 +131,18 @@ def overlay_routes(context: ApiContext) -> APIRouter:
     @routes.get(
         "/overlay",
         dependencies=BY_CALIBRATION,
-        responses=_described(Overlay) | answers(404, 422),
+        responses=_describe_responses(Overlay) | answers(404, 422),
         response_model=Overlay,
     )
     def overlay(request: Request, at: At = None, if_none_match: IfNoneMatch = None) -> Response:
         """Return lines to draw over an image: zenith angles, azimuths, the sun's paths of today and the solstices."""
         selected = context.of(request)
-        return _sent(_overlay(selected, at or selected.frame_clock(), past=at), if_none_match)
+        return _send_answer(_overlay(selected, at or selected.frame_clock(), past=at), if_none_match)
 
     @routes.get(
         "/uncertainty",
         dependencies=BY_CALIBRATION,
-        responses=_described(Uncertainty) | answers(404, 422),
+        responses=_describe_responses(Uncertainty) | answers(404, 422),
         response_model=Uncertainty,
     )
     def uncertainty(
@@ -154,7 +154,9 @@ def overlay_routes(context: ApiContext) -> APIRouter:
         """Return the 1-sigma of directions over the image, on a coarse grid."""
         selected = context.of(request)
         record = selected.record(at)
-        return _sent(_uncertainty(selected.archive.calibrations.model(record.id), cells, record.id), if_none_match)
+        return _send_answer(
+            _uncertainty(selected.archive.calibrations.model(record.id), cells, record.id), if_none_match
+        )
 
     _add_difference(routes, context)
     return routes
@@ -164,7 +166,7 @@ def _add_difference(routes: APIRouter, context: ApiContext) -> None:
     @routes.get(
         "/difference",
         dependencies=BY_CALIBRATION,
-        responses=_described(Difference) | answers(404, 422),
+        responses=_describe_responses(Difference) | answers(404, 422),
         response_model=Difference,
     )
     def difference(
@@ -179,10 +181,10 @@ def _add_difference(routes: APIRouter, context: ApiContext) -> None:
         selected = context.of(request)
         record, second = selected.record(at), selected.calibration(other, field_name="other")
         both = selected.archive.calibrations.model(record.id), selected.archive.calibrations.model(second.id)
-        return _sent(_difference(*both, cells, (record.id, second.id)), if_none_match)
+        return _send_answer(_difference(*both, cells, (record.id, second.id)), if_none_match)
 
 
-def _sent(answer: BaseModel, if_none_match: str | None) -> Response:
+def _send_answer(answer: BaseModel, if_none_match: str | None) -> Response:
     return tagged(answer.model_dump_json().encode(), if_none_match)
 
 
@@ -191,7 +193,7 @@ def _overlay(context: ApiContext, time: datetime, *, past: datetime | None) -> O
     camera = None if answering is None else answering[1].camera
     today = solar_date(time.timestamp(), longitude=context.site.longitude)
     days = [("today", today), *((name, date(today.year, month, day)) for name, month, day in _SOLSTICES)]
-    paths = [(name, track_of(context, day, step_s=_PATH_STEP_S, past=past)) for name, day in days]
+    paths = [(name, compute_sun_track(context, day, step_s=_PATH_STEP_S, past=past)) for name, day in days]
     return Overlay(
         calibration=None if answering is None else answering[0].id,
         image_size=None if camera is None else [camera.width, camera.height],
@@ -203,7 +205,7 @@ def _overlay(context: ApiContext, time: datetime, *, past: datetime | None) -> O
 
 def _circles(camera: Camera) -> list[ZenithCircle]:
     return [
-        ZenithCircle(zenith_deg=zenith, pixels=_drawn(camera, np.full_like(_AROUND_DEG, zenith), _AROUND_DEG))
+        ZenithCircle(zenith_deg=zenith, pixels=_draw_line(camera, np.full_like(_AROUND_DEG, zenith), _AROUND_DEG))
         for zenith in _CIRCLES_DEG
     ]
 
@@ -213,13 +215,13 @@ def _lines(camera: Camera) -> list[AzimuthLine]:
         AzimuthLine(
             azimuth_deg=azimuth,
             name=_NAMES.get(azimuth),
-            pixels=_drawn(camera, _OUTWARDS_DEG, np.full_like(_OUTWARDS_DEG, azimuth)),
+            pixels=_draw_line(camera, _OUTWARDS_DEG, np.full_like(_OUTWARDS_DEG, azimuth)),
         )
         for azimuth in range(0, 360, 30)
     ]
 
 
-def _drawn(camera: Camera, zenith_deg: FloatArray, azimuth_deg: FloatArray) -> list[list[float] | None]:
+def _draw_line(camera: Camera, zenith_deg: FloatArray, azimuth_deg: FloatArray) -> list[list[float] | None]:
     pixels = project(camera, direction_from_angles(zenith_deg=zenith_deg, azimuth_deg=azimuth_deg))
     return [[round(x, 2), round(y, 2)] if math.isfinite(x + y) else None for x, y in pixels.tolist()]
 

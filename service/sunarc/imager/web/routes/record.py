@@ -22,7 +22,7 @@ from sunarc.common.utc import MICROSECOND, rfc3339
 from sunarc.imager.archive.images import time_in_name
 from sunarc.imager.archive.move_pictures import Side
 from sunarc.imager.archive.notices import NoticeKind, condition_changes, stored_changes
-from sunarc.imager.archive.values import Day, DayAir, Event, EventSeverity, Housekeeping, HousekeepingStep, fields_of
+from sunarc.imager.archive.values import Day, DayAir, Event, EventSeverity, Housekeeping, HousekeepingStep, field_values
 from sunarc.imager.runtime.json_fields import SolarDate, described
 from sunarc.imager.runtime.status import StatusSnapshot
 from sunarc.imager.web.context import ApiContext
@@ -234,7 +234,7 @@ def days_out(context: ApiContext, days: Sequence[Day]) -> list[DayWithAir]:
     dates = [day.date for day in days]
     measured = context.archive.days.air(context.camera, since=min(dates), until=max(dates) + timedelta(days=1))
     air = {one.date: air_out(one) for one in measured}
-    return [DayWithAir(**fields_of(day), air=air.get(day.date)) for day in days]
+    return [DayWithAir(**field_values(day), air=air.get(day.date)) for day in days]
 
 
 def _image(context: ApiContext, if_none_match: str | None, width: int | None) -> Response:
@@ -370,14 +370,14 @@ class Follower:
     def news(self) -> list[StreamMessage]:
         """Return the events since the last question, the oldest first."""
         revision = self._context.archive.revision()
-        stored = list(self._stored()) if revision != self._revision or self._behind else []
+        stored = list(self._read_stored()) if revision != self._revision or self._behind else []
         self._revision, self._behind = revision, False
         before, self._status = self._status, self._context.status()
         changed = _changes(before, self._status)
         news = [*stored, *(StreamMessage(kind, data, self.position.text) for kind, data in changed)]
         return news if self._status.notes == before.notes else [*news, self.state()]
 
-    def _stored(self) -> Iterator[StreamMessage]:
+    def _read_stored(self) -> Iterator[StreamMessage]:
         archive, known = self._context.archive, self.position
         events = archive.events.after(known.event, camera=self._context.camera, limit=_MOST_MISSED)
         changes = stored_changes(events, self._calibration(), after_event=known.event, known=known.calibration)

@@ -92,18 +92,18 @@ class AnswerFiles:
         if matches(asked.if_none_match, tag):
             return Response(status_code=HTTPStatus.NOT_MODIFIED, headers=dict(asked.headers))
         client = client_network(asked.request.scope)
-        file = self._kept(tag)
+        file = self._find_kept(tag)
         if file is None:
             slots.require_room(client)
             async with slots.slot(client):
                 # another request may have made it while this one waited
-                file = self._kept(tag) or self._keep(tag, await run_in_threadpool(_stored, make))
+                file = self._find_kept(tag) or self._keep(tag, await run_in_threadpool(_stored, make))
         part = _requested_part(asked.request, tag, len(file.bytes))
         counted = 1 if len(file.bytes) >= _LARGE_BYTES else 0
         headers = {**file.headers, **asked.headers}
         return FileAnswer(file, part, headers=headers, use=self._readers.open(client), counted=counted)
 
-    def _kept(self, tag: str) -> _File | None:
+    def _find_kept(self, tag: str) -> _File | None:
         if tag in self._files:
             self._files.move_to_end(tag)
         return self._files.get(tag)

@@ -13,7 +13,7 @@ from fastapi import APIRouter, Query, Request
 from sunarc.calibration.answers.covariance import sigma_px, sun_with_covariance
 from sunarc.calibration.model.result import Calibration
 from sunarc.common.utc import utc_time
-from sunarc.imager.archive.values import SunPoint, fields_of
+from sunarc.imager.archive.values import SunPoint, field_values
 from sunarc.imager.runtime.json_fields import SolarDate
 from sunarc.imager.web.context import ApiContext
 from sunarc.imager.web.parameters import BY_CALIBRATION, At, Cursor, Since, Until, page_at, row_limit
@@ -68,7 +68,7 @@ def sun_routes(context: ApiContext) -> APIRouter:
         """
         selected = context.of(request)
         day = date or solar_date((at or context.frame_clock()).timestamp(), longitude=selected.site.longitude)
-        return track_of(selected, day, step_s=step_s, past=at)
+        return compute_sun_track(selected, day, step_s=step_s, past=at)
 
     _add_sighting_routes(routes, context)
     return routes
@@ -153,11 +153,11 @@ def _sun(context: ApiContext, time: datetime, *, past: datetime | None) -> Sun:
     )
 
 
-def track_of(context: ApiContext, day: date, *, step_s: int, past: datetime | None = None) -> SunTrack:
+def compute_sun_track(context: ApiContext, day: date, *, step_s: int, past: datetime | None = None) -> SunTrack:
     """Return the sun's way through a solar day, by the current calibration or the one of a moment in the `past`."""
     start, end = day_bounds_unix_s(day, longitude=context.site.longitude)
     unix_s = np.arange(math.ceil(start / step_s) * step_s, end, step_s)
-    angles = sun_angles(unix_s, context.site_with_air_of(day))
+    angles = sun_angles(unix_s, context.site_in_measured_air(day))
     up = angles.apparent_zenith <= _HORIZON_DEG
     zenith, azimuth = angles.apparent_zenith[up], angles.azimuth[up]
     answering = context.calibration_or_none(past)
@@ -182,7 +182,7 @@ def _sun_points(context: ApiContext, found: Sequence[SunPoint], *, residuals: bo
         residual_rows = _residuals(answering[1], context, found)
     return SunPoints(
         sun_points=[
-            SunPointWithResidual(**fields_of(point), residual=residual)
+            SunPointWithResidual(**field_values(point), residual=residual)
             for point, residual in zip(found, residual_rows, strict=True)
         ],
         next=next_,
@@ -194,7 +194,7 @@ def _residuals(calibration: Calibration, context: ApiContext, points: Sequence[S
     """Return the residual of each sighting; None without a pixel, or where the calibration has no pixel for the sun."""
     unix_s = np.array([point.time.timestamp() for point in points])
     observed = np.array([(point.x_px, point.y_px) for point in points], dtype=np.float64).reshape(-1, 2)
-    temperature, pressure = context.archive.days.air_of(context.camera, points)
+    temperature, pressure = context.archive.days.sighting_air(context.camera, points)
     sun = sun_directions(unix_s, context.site, temperature=temperature, pressure=pressure)
     body = np.array([point.body for point in points])
     of_sun = (body == SUN)[:, None]

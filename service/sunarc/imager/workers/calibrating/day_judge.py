@@ -23,7 +23,7 @@ from sunarc.imager.archive.values import (
     Refit,
     SunPointColumns,
 )
-from sunarc.imager.workers.calibrating.solver_process import points_of
+from sunarc.imager.workers.calibrating.solver_process import columns_to_sightings
 from sunarc.sky.days import day_bounds_unix_s, solar_date
 from sunarc.sky.sun import sun_angles
 
@@ -52,15 +52,15 @@ class LearnedCadence:
         if self._stated_s is not None:
             return self._stated_s
         if self._learned is None or abs(time - self._learned[0]) >= timedelta(hours=1):
-            learned_s = self._of(time)
+            learned_s = self._learn_cadence(time)
             if learned_s is None:
                 return _FIRST_S if self._learned is None else self._learned[1]
             self._learned = (time, learned_s)
         return self._learned[1]
 
-    def _of(self, time: datetime) -> float | None:
+    def _learn_cadence(self, time: datetime) -> float | None:
         try:
-            times = self._camera.archive.sightings.observation_times(
+            times = self._camera.archive.sightings.exposure_times(
                 self._camera.name, since=time - _LEARNED_DAYS, until=time
             )
         except OutsideError as error:
@@ -149,11 +149,11 @@ class DayJudge:
             columns = columns.select(~doubtful)
         frames = np.arange(start, end, cadence_s)
         up = sun_angles(frames, self.camera.site).apparent_zenith < self.sun_zenith_deg
-        observed = self.camera.archive.sightings.observation_times(
+        observed = self.camera.archive.sightings.exposure_times(
             self.camera.name, since=since, until=until, largest_clock_error_s=largest_s
         )
         measure = measure_day(
-            points_of(columns),
+            columns_to_sightings(columns),
             site=self.camera.site,
             n_possible=int(np.count_nonzero(up & ~self.hidden(frames))),
             observed_unix_s=None if observed is None else observed[~self.hidden(observed)],
@@ -190,7 +190,7 @@ class DayJudge:
         if calibration is None:
             return None
         last = columns.select(columns.epoch == len(columns.epoch_ids) - 1)
-        return daily_pose_offset(points_of(last), calibration=calibration, site=self.camera.site)
+        return daily_pose_offset(columns_to_sightings(last), calibration=calibration, site=self.camera.site)
 
     def _remember(self, day: Day) -> None:
         self.camera.archive.days.save(day)

@@ -103,8 +103,8 @@ class MoveConditions:
         if event.time in pose.closed:
             return None
         if pose.fitted_from is None or pose.fitted_from < event.time:
-            return condition_of_move(code, event, since=pose.words)
-        return condition_of_move(code + _FITTED, event) if event.to_acknowledge else None
+            return move_condition(code, event, since=pose.words)
+        return move_condition(code + _FITTED, event) if event.to_acknowledge else None
 
     def _pose_since(self, earliest: datetime | None) -> _Pose:
         """Return how the present pose stands; nothing is read where no move is `earliest`."""
@@ -142,7 +142,7 @@ class _Pose:
     closed: frozenset[datetime]
 
 
-def condition_of_move(code: str, event: Event, *, since: str = "") -> Reason:
+def move_condition(code: str, event: Event, *, since: str = "") -> Reason:
     """Return the condition of a move, a change of the lens or of the camera.
 
     Parameters

@@ -18,7 +18,7 @@ from sunarc.calibration.model.options import CalibrationOptions, FirstPoseOption
 from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S, Sightings
 from sunarc.calibration.pose import estimate_pose
-from sunarc.calibration.verdict import with_clock
+from sunarc.calibration.verdict import add_stated_clock
 from sunarc.common.errors import InputError
 from sunarc.formats.calibration_document import to_document
 from sunarc.formats.lens_prior import read_lens_type
@@ -26,7 +26,7 @@ from sunarc.imager.archive.archive import CameraArchive
 from sunarc.imager.archive.calibrations import PROVISIONAL
 from sunarc.imager.archive.sightings import LENS_CHANGED
 from sunarc.imager.archive.values import CalibrationRecord, PoseEpoch
-from sunarc.imager.workers.calibrating.solver_process import points_of
+from sunarc.imager.workers.calibrating.solver_process import columns_to_sightings
 from sunarc.imager.workers.options import LensPriorOptions
 from sunarc.sources.files import read_file
 
@@ -134,8 +134,8 @@ class ProvisionalPoseEstimator:
         if count < max(FEWEST, _GROWTH * done):
             return False
         self._tried = _Tried(epoch.id, count)
-        points = points_of(columns)
-        posed = self._of_type(points) if lens is None else self._of_lens(points, lens)
+        points = columns_to_sightings(columns)
+        posed = self._pose_by_type(points) if lens is None else self._pose_by_lens(points, lens)
         self.refusal = None if posed.verdict.accepted else posed.verdict
         if not posed.verdict.accepted:
             _log.info("pose estimation failed: %s", "; ".join(posed.verdict.reasons))
@@ -148,16 +148,16 @@ class ProvisionalPoseEstimator:
         """Return whether a full fit knows the pose of an epoch, or a calibration is of a later one."""
         if current.pose_epoch == epoch.id and not is_provisional(self.camera.archive.calibrations.model(current.id)):
             return True
-        return self._is_of_later(current, epoch)
+        return self._belongs_to_later(current, epoch)
 
-    def _of_type(self, points: Sightings) -> Calibration:
+    def _pose_by_type(self, points: Sightings) -> Calibration:
         """Return a first pose, of a lens that is known by its type."""
         if self.first is None:
             raise InputError(field="first_pose.lens_prior", problem="unset", remedy="name a lens prior file")
         lens, pose = self.first
         return first_pose(points, lens=lens, site=self.camera.site, options=self.options, pose=pose)
 
-    def _of_lens(self, points: Sightings, lens: CalibrationRecord) -> Calibration:
+    def _pose_by_lens(self, points: Sightings, lens: CalibrationRecord) -> Calibration:
         """Return a new pose of a lens that was calibrated."""
         return estimate_pose(
             points,
@@ -177,7 +177,7 @@ class ProvisionalPoseEstimator:
         except InputError:  # gone, damaged, or of another version
             return None
 
-    def _is_of_later(self, current: CalibrationRecord, epoch: PoseEpoch) -> bool:
+    def _belongs_to_later(self, current: CalibrationRecord, epoch: PoseEpoch) -> bool:
         """Return whether a calibration is of a pose epoch after this one: one that a clock ahead has opened."""
         started = {each.id: each.started_at for each in self.camera.archive.epochs.find(self.camera.name)}
         return current.pose_epoch in started and started[current.pose_epoch] > epoch.started_at
@@ -185,7 +185,7 @@ class ProvisionalPoseEstimator:
     def _document(self, posed: Calibration, epoch: PoseEpoch, count: int) -> dict[str, object]:
         now = self.now()
         return to_document(
-            with_clock(posed, self.clock_error_s),
+            add_stated_clock(posed, self.clock_error_s),
             id=f"{now.astimezone(UTC):%Y%m%dT%H%M%SZ}{PROVISIONAL}{count}",
             camera=self.camera.name,
             state="candidate",

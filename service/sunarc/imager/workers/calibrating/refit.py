@@ -23,9 +23,9 @@ from sunarc.calibration.projection_choice import options_as_served
 from sunarc.calibration.quality.day_quality import days_left_out
 from sunarc.calibration.quality.fit_checks import is_tilt_shown
 from sunarc.calibration.quality.tilt import LEVEL_DEG, proposed_limit_deg
-from sunarc.calibration.quality.widening import with_pose_spread
-from sunarc.calibration.selection import Selection, SelectionOptions, select_sightings, surest_of_epochs
-from sunarc.calibration.verdict import accept, provisional, with_clock
+from sunarc.calibration.quality.widening import add_pose_spread
+from sunarc.calibration.selection import Selection, SelectionOptions, pick_surest_in_epochs, select_sightings
+from sunarc.calibration.verdict import accept, add_stated_clock, provisional
 from sunarc.common.array_types import IntArray
 from sunarc.common.errors import InputError, NotFoundError
 from sunarc.common.findings import Data, Finding
@@ -93,7 +93,7 @@ class EpochSearch:
             return None
         self._last_id = int(columns.ids.max())
         return solver_process.SolveProblem(
-            points=solver_process.points_of(columns),
+            points=solver_process.columns_to_sightings(columns),
             site=self.camera.site,
             image_size=record.image_size,
             options=self.options,
@@ -142,7 +142,7 @@ class EpochSearch:
                 continue
             divided += [part.id for part in parts]
             self.camera.add_event(
-                _found(step, at), time=at, severity="warning", kind="bump", details={"searched": True}
+                _step_finding(step, at), time=at, severity="warning", kind="bump", details={"searched": True}
             )
         found = Finding(SEARCHED, {"steps": len(steps), "last_id": self._last_id})
         self.camera.add_event(found, time=self.now(), severity="info", details={"divided": sorted(set(divided))})
@@ -180,7 +180,7 @@ def _search(event: Event) -> _Search:
     )
 
 
-def _found(step: PoseChange, at: datetime) -> Finding:
+def _step_finding(step: PoseChange, at: datetime) -> Finding:
     before = utc_time(step.bracket[0]).isoformat(timespec="seconds")
     data: Data = {"before": before, "after": at.isoformat(timespec="seconds"), "turn_deg": step.turn_deg}
     return Finding("pose_changed", data)
@@ -211,11 +211,13 @@ class RefitTask:
         """The pose epoch of the result."""
         return self.used.epoch_ids[-1]
 
-    def of_epoch(self, epoch: str) -> solver_process.SolveProblem:
+    def for_epoch(self, epoch: str) -> solver_process.SolveProblem:
         """Return the same solve, its answer that of another pose epoch."""
-        return replace(self.problem, points=solver_process.points_of(self.used, site=self.problem.site, latest=epoch))
+        return replace(
+            self.problem, points=solver_process.columns_to_sightings(self.used, site=self.problem.site, latest=epoch)
+        )
 
-    def with_selection(self, solved: Calibration) -> Calibration:
+    def state_selection(self, solved: Calibration) -> Calibration:
         """Return a calibration whose evidence states how its sightings were picked."""
         counts = {**asdict(_LIMITS), **self.selection.counts()}
         return replace(solved, evidence=replace(solved.evidence, selection=counts))
@@ -252,11 +254,11 @@ def next_task(
     epochs = [read.epoch_ids[number] for number in np.unique(read.candidates.epoch[selection.index]).tolist()]
     others = camera.archive.sightings.columns(camera.name, since=since, until=now, body=None, no_sun=True)
     stars = _stars(others, epochs, record.image_size)
-    used = camera.archive.sightings.of_ids(camera.name, np.concatenate([read.ids[selection.index], stars]))
+    used = camera.archive.sightings.by_ids(camera.name, np.concatenate([read.ids[selection.index], stars]))
     if not np.any(used.body == SUN):  # deleted meanwhile
         return Finding("no_accepted_sightings")
     problem = solver_process.SolveProblem(
-        points=solver_process.points_of(used, site=camera.site),
+        points=solver_process.columns_to_sightings(used, site=camera.site),
         site=camera.site,
         image_size=record.image_size,
         options=options,
@@ -288,7 +290,7 @@ def _stars(others: SunPointColumns, epochs: Sequence[str], image_size: tuple[int
     with_sun = np.array([name in epochs for name in others.epoch_ids], dtype=bool)
     usable = with_sun[others.epoch] & (np.nan_to_num(others.clock_error_s) <= MAX_CLOCK_ERROR_S)
     rows = np.flatnonzero(usable)
-    chosen = surest_of_epochs(others.pixels[rows], others.sigma_px[rows], others.epoch[rows], image_size)
+    chosen = pick_surest_in_epochs(others.pixels[rows], others.sigma_px[rows], others.epoch[rows], image_size)
     return others.ids[rows[chosen]]
 
 
@@ -318,7 +320,7 @@ class RefitWorker:
     may_solve : whether a refit may begin now; the others wait.
     solve, search : how a problem is solved, and searched for pose epochs; see `solve_in_child`, `search_in_child`.
     keep_provisional : whether a fit that its sightings do not determine is kept as a candidate, see `provisional`.
-    clock_error_s, clock_assumed : the clock that is stated for all sightings, see `with_clock`.
+    clock_error_s, clock_assumed : the clock that is stated for all sightings, see `add_stated_clock`.
     """
 
     camera: CameraArchive
@@ -404,7 +406,7 @@ class RefitWorker:
             self._finish(refit, "failed", (error.finding,))
             return
         if solved is not None:
-            self._judge(refit, task, task.with_selection(solved))
+            self._judge(refit, task, task.state_selection(solved))
         if solved is not None and solved.verdict.accepted:
             self._answer_for_past(task, child)
 
@@ -433,13 +435,13 @@ class RefitWorker:
         waiting = [epoch for epoch in task.used.epoch_ids[:-1] if epoch in ends and self._epochs.unanswered(epoch)]
         for epoch in reversed(waiting[-_MOST_PAST:]):
             try:
-                solved = _in_child(self.solve, task.of_epoch(epoch), child)
+                solved = _in_child(self.solve, task.for_epoch(epoch), child)
             except solver_process.SolveFailedError as error:
                 _log.warning("no calibration of pose epoch %s: %s", epoch, error)
                 continue
             if solved is None:
                 return
-            solved = task.with_selection(solved)
+            solved = task.state_selection(solved)
             record = self._keep(task, replace(solved, verdict=accept(solved)), None, pose_epoch=epoch)
             if record.accepted:
                 self.camera.archive.calibrations.answer_between(record.id, since=starts[epoch], until=ends[epoch])
@@ -447,7 +449,7 @@ class RefitWorker:
     def _judge(self, refit: Refit, task: RefitTask, solved: Calibration) -> None:
         current = self.camera.archive.calibrations.current(self.camera.name)
         epoch = self.camera.archive.epochs.current(self.camera.name, at=self.now())
-        solved = with_pose_spread(solved, self._pose_spread(epoch))
+        solved = add_pose_spread(solved, self._pose_spread(epoch))
         if self.keep_provisional:
             solved = provisional(solved, limit_deg=self.calibration.max_sky_deg)
         if epoch is not None and task.pose_epoch != epoch.id:
@@ -495,7 +497,7 @@ class RefitWorker:
         """Store the calibration; the first one of a pose epoch answers from the epoch's beginning."""
         now, epoch = self.now(), pose_epoch or task.pose_epoch
         document = to_document(
-            with_clock(solved, self.clock_error_s, assumed=self.clock_assumed),
+            add_stated_clock(solved, self.clock_error_s, assumed=self.clock_assumed),
             id=f"{now.astimezone(UTC):%Y%m%dT%H%M%SZ}-{uuid.uuid4().hex[:6]}",
             camera=self.camera.name,
             state="candidate" if solved.verdict.accepted or solved.verdict.marginal else "refused",
@@ -657,7 +659,7 @@ class CalibrationIntegrityCheck:
 
     def _check_sightings(self, current: CalibrationRecord) -> None:
         try:
-            self.camera.archive.calibrations.sightings_of(current.id)
+            self.camera.archive.calibrations.sightings_given_to(current.id)
         except NotFoundError:
             return  # imported, or made before evidence was kept
         except InputError as error:

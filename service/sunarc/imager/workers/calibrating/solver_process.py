@@ -164,7 +164,7 @@ def _end(exit_code: int | None) -> str:
     return f"signal {-exit_code}" if exit_code < 0 else f"exit code {exit_code}"
 
 
-def points_of(columns: SunPointColumns, *, site: Site | None = None, latest: str | None = None) -> Sightings:
+def columns_to_sightings(columns: SunPointColumns, *, site: Site | None = None, latest: str | None = None) -> Sightings:
     """Return the sightings of an archive's columns.
 
     Parameters

@@ -16,7 +16,7 @@ from sunarc.calibration.model.pose_change import PoseChange
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
 from sunarc.calibration.quality.first_motion import FEWEST_IN_MOTION, site_contradiction
-from sunarc.changes.online import REMEMBERED, details_of, finding_of, update_window
+from sunarc.changes.online import REMEMBERED, change_details, change_finding, update_window
 from sunarc.changes.values import LENS_KINDS, Sighting, SightingWindow, WatchOptions
 from sunarc.common.errors import InputError, OutsideError
 from sunarc.common.findings import Finding
@@ -142,7 +142,7 @@ class WatchWorker:
         )
         usable = [point for point in points if point.accepted or point.verdict == ELSEWHERE][:REMEMBERED]
         for point in reversed(usable):
-            self._process_safely(_of_point(point, self._observed))
+            self._process_safely(_as_sighting(point, self._observed))
 
     def look_again(self) -> None:
         """Have the window filled anew: sightings were stored that are older than its last one; never waits."""
@@ -162,7 +162,7 @@ class WatchWorker:
 
     def _begin_anew_if_outdated(self) -> None:
         try:
-            if self._is_of_another_epoch():
+            if self._epoch_changed():
                 self._clear_move()
                 self.remember()
             elif self._is_ahead() or (self._older_came.is_set() and self._fault is None):
@@ -183,7 +183,7 @@ class WatchWorker:
         """Return whether the time went back behind the remembered one."""
         return bool(len(self._watch)) and float(self._watch.unix_s[-1]) > self._latest().timestamp()
 
-    def _is_of_another_epoch(self) -> bool:
+    def _epoch_changed(self) -> bool:
         """Return whether an operator, the refit worker or another camera changed the pose epoch."""
         epoch = self._present_epoch()
         return epoch is not None and epoch.id != self._epoch
@@ -274,7 +274,7 @@ class WatchWorker:
             self._open_epoch(change, at)
         else:
             self._fault, self._agreeing = change, 0
-            self.camera.archive.sightings.exclude(self.camera.name, finding_of(change), since=at)
+            self.camera.archive.sightings.exclude(self.camera.name, change_finding(change), since=at)
 
     def _epoch_begun_by(self, change: PoseChange) -> PoseEpoch | None:
         """Return the present epoch where the move began it and no pose has been found since; None for another move."""
@@ -311,12 +311,12 @@ class WatchWorker:
         """Return whether a step of an unwatched clock by a few sightings is a turn by many."""
         if change is None or self._fault is None or self.host_dates:
             return False
-        agreeing = int(finding_of(change).data["agreeing"])
+        agreeing = int(change_finding(change).data["agreeing"])
         return (self._fault.cause, change.cause) == ("clock", "bump") and agreeing >= _MANY_AGREEING
 
     def _end_fault(self) -> None:
         if self._fault is not None:
-            self.board.set_condition(finding_of(self._fault).code, None)
+            self.board.set_condition(change_finding(self._fault).code, None)
             self._fault = None
 
     def _wait_for_recovery(self, sighting: Sighting) -> None:
@@ -329,17 +329,19 @@ class WatchWorker:
             self._end_fault()
             return
         time = utc_time(sighting.unix_s)
-        self.camera.archive.sightings.exclude(self.camera.name, finding_of(fault), since=time, until=time + MICROSECOND)
+        self.camera.archive.sightings.exclude(
+            self.camera.name, change_finding(fault), since=time, until=time + MICROSECOND
+        )
 
     def _report(self, change: PoseChange, at: datetime) -> None:
-        details = details_of(change) | ({TO_ACKNOWLEDGE: True} if change.cause in CAMERA_CHANGES else {})
-        self.camera.add_event(finding_of(change), time=at, severity="alarm", kind=change.cause, details=details)
+        details = change_details(change) | ({TO_ACKNOWLEDGE: True} if change.cause in CAMERA_CHANGES else {})
+        self.camera.add_event(change_finding(change), time=at, severity="alarm", kind=change.cause, details=details)
         self._publish(change, at)
 
     def _publish(self, change: PoseChange, at: datetime) -> None:
-        text = f"since {at.isoformat(timespec='seconds')}: {finding_of(change).text}"
-        reason = Reason.of(finding_of(change))
-        self.board.set_condition(reason.code, replace(reason, text=text, data=details_of(change)), log=False)
+        text = f"since {at.isoformat(timespec='seconds')}: {change_finding(change).text}"
+        reason = Reason.of(change_finding(change))
+        self.board.set_condition(reason.code, replace(reason, text=text, data=change_details(change)), log=False)
 
     def _clear_move(self) -> None:
         for kind in ("bump", *LENS_KINDS):
@@ -385,7 +387,7 @@ class WatchWorker:
         epochs = self.camera.archive.epochs.find(self.camera.name)
         later = [epoch for epoch in epochs if epoch.started_at > self._latest()]
         self._has_future_epochs = bool(later)
-        self.board.set_condition(_FUTURE_EPOCH, _of_the_future(later[0]) if later else None)
+        self.board.set_condition(_FUTURE_EPOCH, _future_epoch_reason(later[0]) if later else None)
 
     def _observed(self, time: datetime, x_px: float, y_px: float, sigma_px: float | None) -> Sighting:
         return Sighting(
@@ -396,7 +398,7 @@ class WatchWorker:
         )
 
 
-def _of_point(point: SunPoint, watched: Callable[[datetime, float, float, float | None], Sighting]) -> Sighting:
+def _as_sighting(point: SunPoint, watched: Callable[[datetime, float, float, float | None], Sighting]) -> Sighting:
     if point.x_px is None or point.y_px is None:
         raise InputError(field="sighting", problem="without a pixel", remedy="look at accepted ones")
     return watched(point.time, point.x_px, point.y_px, point.sigma_px)
@@ -408,5 +410,5 @@ def _sun(unix_s: float, site: Site) -> tuple[float, float, float]:
     return east, north, up
 
 
-def _of_the_future(epoch: PoseEpoch) -> Reason:
+def _future_epoch_reason(epoch: PoseEpoch) -> Reason:
     return condition(_FUTURE_EPOCH, pose_epoch=epoch.id, started_at=epoch.started_at.isoformat(timespec="seconds"))

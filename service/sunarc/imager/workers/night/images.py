@@ -34,7 +34,7 @@ from sunarc.imager.workers.night.named_stars import TakenImage
 from sunarc.imaging.metadata import jpeg_with
 from sunarc.optics.camera import camera_sees
 from sunarc.optics.forward import project
-from sunarc.sky.night import body_position, title_of
+from sunarc.sky.night import body_position, common_name
 from sunarc.stars.views import StarView
 
 _log = logging.getLogger(__name__)
@@ -100,11 +100,11 @@ class KeptImages:
         stars, moons = list[KeptStars](), list[KeptMoon]()
         for row in self._camera.archive.nights.images(self._camera.name):
             try:
-                arrays = _unpacked(row.measured)
+                arrays = _unpack_arrays(row.measured)
                 if row.kind == "stars":
-                    stars.append(_stars_of(row, arrays))
+                    stars.append(_read_kept_stars(row, arrays))
                 else:
-                    moons.append(KeptMoon(_note_of(row), tuple(_cutouts_of(arrays))))
+                    moons.append(KeptMoon(_read_note(row), tuple(_read_cutouts(arrays))))
             except _DAMAGED as error:
                 _log.warning("left out a damaged image of the night of %s: %s", row.time.isoformat(), error)
         return stars, moons
@@ -146,12 +146,12 @@ def _row(note: FrameNote, *, kind: str, arrays: Mapping[str, np.ndarray], kept: 
     )
 
 
-def _unpacked(measured: bytes) -> dict[str, np.ndarray]:
+def _unpack_arrays(measured: bytes) -> dict[str, np.ndarray]:
     with np.load(io.BytesIO(measured), allow_pickle=False) as stored:
         return {name: stored[name] for name in stored.files}
 
 
-def _note_of(row: NightImage) -> FrameNote:
+def _read_note(row: NightImage) -> FrameNote:
     frame = Frame(
         image=np.broadcast_to(np.uint16(0), (row.height, row.width)),
         time=row.time,
@@ -165,13 +165,13 @@ def _note_of(row: NightImage) -> FrameNote:
     return FrameNote(frame, row.clock_error_s, row.digest, row.serial)
 
 
-def _stars_of(row: NightImage, arrays: Mapping[str, np.ndarray]) -> KeptStars:
+def _read_kept_stars(row: NightImage, arrays: Mapping[str, np.ndarray]) -> KeptStars:
     stars = Stars(**{field.name: arrays[field.name] for field in fields(Stars)})
     halo = float("nan") if row.halo is None else row.halo
-    return KeptStars(_note_of(row), stars, halo, arrays["outstanding"], row.n_repeated, row.picture)
+    return KeptStars(_read_note(row), stars, halo, arrays["outstanding"], row.n_repeated, row.picture)
 
 
-def _cutouts_of(arrays: Mapping[str, np.ndarray]) -> Iterable[Cutout]:
+def _read_cutouts(arrays: Mapping[str, np.ndarray]) -> Iterable[Cutout]:
     for number, (x, y) in enumerate(arrays["corners"].tolist()):
         yield Cutout(x, y, arrays[f"cutout_{number}"])
 
@@ -227,7 +227,7 @@ def named_bodies(one: TakenImage, calibration: Calibration, camera: CameraArchiv
     bodies = [
         {
             "body": str(view.predicted.names[row]),
-            "title": title_of(str(view.predicted.names[row])),
+            "title": common_name(str(view.predicted.names[row])),
             "pixel": [round(float(value), 2) for value in view.predicted.pixels[row]],
             "magnitude": round(float(view.predicted.magnitude[row]), 2),
             "found": None if seen is None else bool(seen[row]),
@@ -318,7 +318,7 @@ class WarmPixelFile:
             self.report(Finding("warm_pixels_unread", {"file": self.path.name, "error": why or str(error)}))
             return np.zeros(0, dtype=np.int64)
         if stored != sensor:
-            data = {"file": self.path.name, "stored": _described(stored), "present": _described(sensor)}
+            data = {"file": self.path.name, "stored": _describe_sensor(stored), "present": _describe_sensor(sensor)}
             self.report(Finding("warm_pixels_other_sensor", data))
             return np.zeros(0, dtype=np.int64)
         return pixels
@@ -357,7 +357,7 @@ def _sensor_format(stored: Any) -> SensorFormat:  # noqa: ANN401 - of JSON
     return sensor
 
 
-def _described(sensor: SensorFormat) -> str:
+def _describe_sensor(sensor: SensorFormat) -> str:
     binned = f", {sensor.binning}x{sensor.binning} binned" if sensor.binning > 1 else ""
     return (
         f"{sensor.columns}x{sensor.rows} px {sensor.pixel_format}{binned}, serial number {sensor.serial or 'unknown'}"

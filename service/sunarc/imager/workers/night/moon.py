@@ -18,7 +18,7 @@ from sunarc.imager.archive.archive import CameraArchive
 from sunarc.imager.archive.values import SunPoint
 from sunarc.imager.cameras.frame import Frame
 from sunarc.imager.workers.night.exposures import LEAST_LIT, LOWEST_DEG, MOST_LEVEL, MoonExposures
-from sunarc.imager.workers.options import SensorOptions, sensor_of
+from sunarc.imager.workers.options import SensorOptions, frame_sensor
 from sunarc.sky.night import MoonDisc, moon_disc
 
 _MOST_IMAGES = 200
@@ -96,7 +96,7 @@ class MoonImages:
         image = _MoonImage(
             time=frame.time,
             exposure_us=frame.exposure_us,
-            sensor=sensor_of(frame, self.options),
+            sensor=frame_sensor(frame, self.options),
             cutouts=cutouts,
             clock_error_s=clock_error_s,
         )
@@ -138,7 +138,7 @@ class MoonImages:
         clock_error_s : bound of the error of a frame's time, seconds.
         """
         images, self._images = self._images, []
-        looked = [self._measured(image, calibration, within_px) for image in images]
+        looked = [self._measure_moon(image, calibration, within_px) for image in images]
         measured = [one for one in looked if isinstance(one, _Measured)]
         refused = [one for one in looked if isinstance(one, Finding)]
         if measured:
@@ -151,7 +151,7 @@ class MoonImages:
         points = tuple(self._point(one, clock_error_s) for one in measured)
         return MoonNight(points, len(images), tuple(refused))
 
-    def _measured(self, image: _MoonImage, calibration: Calibration, within_px: float) -> _Measured | Finding:
+    def _measure_moon(self, image: _MoonImage, calibration: Calibration, within_px: float) -> _Measured | Finding:
         disc = moon_disc(image.time.timestamp(), self.camera.site_with_air_at(image.time))
         expected = predicted_moon(calibration, disc, within_px=within_px)
         if (

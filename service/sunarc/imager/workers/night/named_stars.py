@@ -86,7 +86,9 @@ def radial_offset(
     return RadialOffset(centre=centre, radius=radius, coefficients=np.asarray(coefficients))
 
 
-def offset_of(views: Sequence[StarView], matched: Sequence[MatchedView], calibration: Calibration) -> RadialOffset:
+def measure_radial_offset(
+    views: Sequence[StarView], matched: Sequence[MatchedView], calibration: Calibration
+) -> RadialOffset:
     """Return by how much the unclipped stars of a night lie outside of their predicted places."""
     pixels, predicted, sigma = [np.zeros((0, 2))], [np.zeros((0, 2))], [np.zeros(0)]
     for view, found in zip(views, matched, strict=True):
@@ -159,20 +161,20 @@ def exposed_longer(taken: Sequence[TakenImage], before: Sequence[float]) -> dict
     """
     named = [row for row, one in enumerate(taken) if one.found.matches.accepted]
     light = [_light(taken[row], math.inf) for row in named]  # the bright ones are clipped in a longer exposure
-    zero_points = photometry.extinction_of(light, photometry.ZENITH_BANDS_DEG).zero_point
+    zero_points = photometry.fit_extinction(light, photometry.ZENITH_BANDS_DEG).zero_point
     known = [number for number in (_median(zero_points), _median(np.array(before))) if math.isfinite(number)]
     brighter = zero_points - max(known, default=math.nan)
     return {row: float(by) for row, by in zip(named, brighter, strict=True) if by > MOST_BRIGHTER_MAG}
 
 
-def numbers_of(taken: Sequence[TakenImage]) -> NightNumbers:
+def night_numbers(taken: Sequence[TakenImage]) -> NightNumbers:
     """Return the numbers of a night; only images whose stars were named say something of the sky."""
     named = [one for one in taken if one.found.matches.accepted]
-    air = photometry.extinction_of([_light(one) for one in named], photometry.ZENITH_BANDS_DEG)
+    air = photometry.fit_extinction([_light(one) for one in named], photometry.ZENITH_BANDS_DEG)
     zero_points = dict(zip(map(id, named), air.zero_point.tolist(), strict=True))
     images = [_image_numbers(one, zero_points.get(id(one), math.nan)) for one in taken]
     columns = {name: np.array([image[name] for image in images]) for name in images[0]} if images else {}
-    trend = photometry.trend_of(*(columns.get(name, np.zeros(0)) for name in ("star_fwhm_px", "halo", "zero_point")))
+    trend = photometry.night_trend(*(columns.get(name, np.zeros(0)) for name in ("star_fwhm_px", "halo", "zero_point")))
     return NightNumbers(
         air=air,
         trend=trend,
@@ -207,7 +209,7 @@ def seen_and_missed(views: Sequence[StarView], matched: Sequence[MatchedView]) -
     return np.concatenate(seen), np.concatenate(missed)
 
 
-def limit_of(view: StarView) -> float:
+def estimate_limit(view: StarView) -> float:
     """Return the V at which half as many stars are detected as of the bright ones, 5.5 at most."""
     listed = view.predicted.magnitude <= FAINTEST_V
     found = photometry.detected(view.stars, view.predicted)
@@ -219,7 +221,7 @@ def _image_numbers(one: TakenImage, zero_point: float) -> dict[str, float]:
     named = one.found.matches.accepted
     return {
         "cloud_fraction": cloud_fraction(one.view) if named else 1.0,
-        "limiting_magnitude": limit_of(one.view) if named else math.nan,
+        "limiting_magnitude": estimate_limit(one.view) if named else math.nan,
         "star_fwhm_px": FWHM * _median(stars.width_px),
         "star_ellipticity": _median(stars.ellipticity),
         "halo": one.halo,
@@ -237,7 +239,7 @@ def _light(one: TakenImage, to_v: float = COUNTED_TO_V) -> photometry.StarLight:
     """Return the light of the named, unclipped stars to a magnitude."""
     stars = one.found.stars.select(one.found.matches.detection)
     zenith, _ = angles_from_direction(one.found.directions(one.view))
-    magnitude = one.view.sky.magnitude[one.view.sky.rows_of(one.found.names(one.view))]
+    magnitude = one.view.sky.magnitude[one.view.sky.find_rows(one.found.names(one.view))]
     used = stars.sound & (magnitude < to_v)
     return photometry.StarLight(
         zenith_deg=zenith[used],
@@ -253,12 +255,12 @@ def _bands(named: Sequence[TakenImage], air: photometry.Extinction) -> tuple[Nig
     for one in named:
         predicted = one.view.predicted
         counted = predicted.magnitude <= COUNTED_TO_V
-        directions = one.view.sky.directions[one.view.sky.rows_of(predicted.names.tolist())]
+        directions = one.view.sky.directions[one.view.sky.find_rows(predicted.names.tolist())]
         zenith.append(np.asarray(angles_from_direction(directions)[0])[counted])
         found.append(photometry.detected(one.view.stars, predicted)[counted])
     bands = photometry.zenith_bands(np.concatenate(zenith), np.concatenate(found))
     return tuple(
-        NightBand(**asdict(band), transparency=_rounded(share))
+        NightBand(**asdict(band), transparency=_round_number(share))
         for band, share in zip(bands, air.transparency.tolist(), strict=True)
     )
 
@@ -266,7 +268,7 @@ def _bands(named: Sequence[TakenImage], air: photometry.Extinction) -> tuple[Nig
 def _series(taken: Sequence[TakenImage], columns: dict[str, FloatArray]) -> NightSeries:
     """Return the columns of at most 72 images, None where a number is not known."""
     rows = np.unique(np.linspace(0, len(taken) - 1, min(len(taken), _MOST_IMAGES)).astype(int)).tolist()
-    known = {name: tuple(_rounded(float(column[row])) for row in rows) for name, column in columns.items()}
+    known = {name: tuple(_round_number(float(column[row])) for row in rows) for name, column in columns.items()}
     return NightSeries(
         time=tuple(utc_time(taken[row].view.unix_s).replace(microsecond=0) for row in rows),
         n_matched=tuple(int(taken[row].found.matches.star.size) for row in rows),
@@ -274,7 +276,7 @@ def _series(taken: Sequence[TakenImage], columns: dict[str, FloatArray]) -> Nigh
     )
 
 
-def _rounded(value: float) -> float | None:
+def _round_number(value: float) -> float | None:
     return round(value, _DIGITS) if math.isfinite(value) else None
 
 

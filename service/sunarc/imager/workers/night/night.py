@@ -46,13 +46,13 @@ from sunarc.imager.workers.night.named_stars import (
     MOST_BRIGHTER_MAG,
     TakenImage,
     cloud_fraction,
+    estimate_limit,
     exposed_longer,
-    limit_of,
-    numbers_of,
-    offset_of,
+    measure_radial_offset,
+    night_numbers,
     seen_and_missed,
 )
-from sunarc.imager.workers.options import SensorOptions, sensor_of
+from sunarc.imager.workers.options import SensorOptions, frame_sensor
 from sunarc.sky.days import solar_date
 from sunarc.sky.night import body_position
 from sunarc.sky.sun import DARK_ZENITH_DEG
@@ -109,7 +109,7 @@ def _longer(by_image: dict[int, float]) -> tuple[Finding, ...]:
     return (Finding("night_exposed_longer", data),) if by_image else ()
 
 
-def summary_of(views: Sequence[StarView], matched: Sequence[MatchedView]) -> NightSummary:
+def summarize_night(views: Sequence[StarView], matched: Sequence[MatchedView]) -> NightSummary:
     """Return the numbers of a night of images and their matches."""
     pairs = [(view, found) for view, found in zip(views, matched, strict=True) if found.matches.accepted]
     widths = np.concatenate([view.stars.width_px for view in views]) if views else np.zeros(0)
@@ -119,7 +119,7 @@ def summary_of(views: Sequence[StarView], matched: Sequence[MatchedView]) -> Nig
         n_accepted=len(pairs),
         n_stars=round(_median([len(found.stars) for _, found in pairs], otherwise=0.0)),
         n_matched=round(_median([found.matches.star.size for _, found in pairs], otherwise=0.0)),
-        limiting_magnitude=_median([limit_of(view) for view, _ in pairs]),
+        limiting_magnitude=_median([estimate_limit(view) for view, _ in pairs]),
         star_fwhm_px=FWHM * _median(widths.tolist()),
         cloud_fraction=float(np.mean(clouds)) if clouds else math.nan,
     )
@@ -252,12 +252,12 @@ class NightWorker:
             return
         stars, moons = self._kept.read()
         if stars:
-            night, last = self._night_of(stars[-1].note.frame.time), stars[-1].note
-            stars = [one for one in stars if self._night_of(one.note.frame.time) == night]
-            moons = [one for one in moons if self._night_of(one.note.frame.time) == night]
-            self._images = [_image_of(one) for one in stars][-_MOST_IMAGES:]
+            night, last = self._evening_date(stars[-1].note.frame.time), stars[-1].note
+            stars = [one for one in stars if self._evening_date(one.note.frame.time) == night]
+            moons = [one for one in moons if self._evening_date(one.note.frame.time) == night]
+            self._images = [_as_star_image(one) for one in stars][-_MOST_IMAGES:]
             self._digest, self._repeated = last.digest, stars[-1].n_repeated
-            self._picture = next((_picture_of(one) for one in reversed(stars) if one.picture is not None), None)
+            self._picture = next((_as_night_picture(one) for one in reversed(stars) if one.picture is not None), None)
             alike = [one for one in stars if one.note.sensor == last.sensor]
             self._warm.resume(last.sensor, ((one.note.frame.time, one.outstanding) for one in alike))
             _log.info("the night of %s goes on with %d images from before the start", night, len(self._images))
@@ -279,11 +279,11 @@ class NightWorker:
         if self._is_repeated(frame):
             return
         clock_error_s = self.clock_error_s(frame.time)
-        if self._images and self._night_of(frame.time) != self._night_of(self._images[-1].time):
+        if self._images and self._evening_date(frame.time) != self._evening_date(self._images[-1].time):
             if clock_error_s > MAX_CLOCK_ERROR_S:
                 return
             self._begin_another()
-        sensor = sensor_of(frame, self.options)
+        sensor = frame_sensor(frame, self.options)
         stars = detect_stars(
             self._warm.repair(frame, sensor.bayer, serial=self._camera_serial()),
             full_scale=frame.full_scale,
@@ -304,7 +304,7 @@ class NightWorker:
             self._repeated,
             None if shown is None else shown.jpeg,
         )
-        self._images = [*self._images, _image_of(kept)][-_MOST_IMAGES:]
+        self._images = [*self._images, _as_star_image(kept)][-_MOST_IMAGES:]
         if self._kept is not None:
             self._kept.keep(kept, since=min(image.time for image in self._images))
 
@@ -369,17 +369,17 @@ class NightWorker:
             return self._without_numbers(images, (Finding(code),), self._keep(picture, None, calibration))
         images, taken, longer = self._named(images, calibration, heartbeat)
         views, matched = [one.view for one in taken], [one.found for one in taken]
-        summary = summary_of(views, matched)
-        measured = numbers_of(taken)
+        summary = summarize_night(views, matched)
+        measured = night_numbers(taken)
         picture_time = self._keep(picture, dict(zip([image.time for image in images], taken, strict=True)), calibration)
-        offset = offset_of(views, matched, calibration)
+        offset = measure_radial_offset(views, matched, calibration)
         stored = self._store(images, views, matched, again=again)
         moon = self._moon.finish(calibration, within_px=BENT_PX, clock_error_s=self.clock_error_s)
         heartbeat()
         stored_moon = max(self.camera.archive.sightings.add(moon.points), len(moon.points) if again else 0)
         verdict, findings = decide_night(summary, moonlit_share=self._moonlit_share(images))
         refused = [found.matches.findings[0] for found in matched if not found.matches.accepted]
-        evening = self._night_of(images[0].time)
+        evening = self._evening_date(images[0].time)
         if verdict in _WORTH_A_REFIT and stored >= _ENOUGH_STARS:
             self.request_refit(f"after the night of {evening} ({verdict})")
         air, trend = measured.air, measured.trend
@@ -404,19 +404,19 @@ class NightWorker:
             n_warm_pixels=len(self._warm),
             n_stars=summary.n_stars,
             n_matched=summary.n_matched,
-            star_offset_px=_known(offset.largest_px),
-            limiting_magnitude=_known(summary.limiting_magnitude),
-            star_fwhm_px=_known(summary.star_fwhm_px),
-            cloud_fraction=_known(summary.cloud_fraction),
-            transparency=_known(10.0 ** (-0.4 * air.per_air_mass)),
-            extinction=_known(air.per_air_mass),
-            extinction_sigma=_known(air.sigma),
-            zero_point=_known(_median(air.zero_point.tolist())),
-            star_ellipticity=_known(measured.star_ellipticity),
-            halo=_known(measured.halo),
-            width_growth=_known(trend.width_growth),
-            halo_growth=_known(trend.halo_growth),
-            fading_mag=_known(trend.fading_mag),
+            star_offset_px=_known_number(offset.largest_px),
+            limiting_magnitude=_known_number(summary.limiting_magnitude),
+            star_fwhm_px=_known_number(summary.star_fwhm_px),
+            cloud_fraction=_known_number(summary.cloud_fraction),
+            transparency=_known_number(10.0 ** (-0.4 * air.per_air_mass)),
+            extinction=_known_number(air.per_air_mass),
+            extinction_sigma=_known_number(air.sigma),
+            zero_point=_known_number(_median(air.zero_point.tolist())),
+            star_ellipticity=_known_number(measured.star_ellipticity),
+            halo=_known_number(measured.halo),
+            width_growth=_known_number(trend.width_growth),
+            halo_growth=_known_number(trend.halo_growth),
+            fading_mag=_known_number(trend.fading_mag),
             zenith_bands=measured.bands,
             images=measured.images,
             picture_time=picture_time,
@@ -451,7 +451,7 @@ class NightWorker:
         self, images: Sequence[_StarImage], findings: tuple[Finding, ...], picture_time: datetime | None
     ) -> Night:
         """Return the verdict on a night whose images say nothing of the sky."""
-        evening, now = self._night_of(images[0].time), self.now()
+        evening, now = self._evening_date(images[0].time), self.now()
         night = unusable_night(self.camera.name, evening, findings=findings, decided_at=now, n_images=len(images))
         return replace(night, picture_time=picture_time)
 
@@ -478,7 +478,7 @@ class NightWorker:
         )
         return picture.time if written else None
 
-    def _night_of(self, time: datetime) -> date:
+    def _evening_date(self, time: datetime) -> date:
         """Return the solar date of the evening that a night began with."""
         return solar_date(time.timestamp() - 0.5 * DAY_S, longitude=self.camera.site.longitude)
 
@@ -547,7 +547,7 @@ class NightWorker:
 
     def _remember(self, night: Night) -> None:
         """Store the verdict, and set the conditions that the last nights give rise to."""
-        event = event_of_night(night)
+        event = night_event(night)
         self.camera.archive.nights.save(night, event=event, drops_images=self._kept is not None)
         _log.info("%s", event.text)
         self.publish_conditions()
@@ -559,7 +559,7 @@ class NightWorker:
             self.board.set_condition(code, reason)
 
 
-def event_of_night(night: Night) -> Event:
+def night_event(night: Night) -> Event:
     """Return the event of a night: its verdict, its numbers as far as they are known, and why."""
     values = {one.name: getattr(night, one.name) for one in fields(night)}
     numbers = {name: value for name, value in values.items() if isinstance(value, int | float)}
@@ -577,11 +577,11 @@ def event_of_night(night: Night) -> Event:
     return Event.of(found, time=night.decided_at, severity="info", camera=night.camera, details=parts)
 
 
-def _known(value: float) -> float | None:
+def _known_number(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _image_of(kept: KeptStars) -> _StarImage:
+def _as_star_image(kept: KeptStars) -> _StarImage:
     frame = kept.note.frame
     return _StarImage(
         time=frame.time,
@@ -593,7 +593,7 @@ def _image_of(kept: KeptStars) -> _StarImage:
     )
 
 
-def _picture_of(kept: KeptStars) -> NightPicture:
+def _as_night_picture(kept: KeptStars) -> NightPicture:
     return NightPicture(time=kept.note.frame.time, n_stars=len(kept.stars), jpeg=kept.picture or b"")
 
 
