@@ -223,18 +223,18 @@ def _as_findings(sentence: str) -> str | None:
 
 def _found(sentence: str) -> list[Found]:
     """Return the findings of a sentence; none where not all of it is surely of known codes."""
-    whole = _one_time_seconds(sentence)
+    whole = _of_one(sentence)
     if whole:
         return [whole]
     for join in re.finditer("; |: |, ", sentence):
-        first = _one_time_seconds(sentence[: join.start()])
+        first = _of_one(sentence[: join.start()])
         rest = _found(sentence[join.end() :]) if first else []
         if first and rest and join.group() == _BEFORE.get(rest[0][0], _AFTER.get(first[0], "; ")):
             return [first, *rest]
     return []
 
 
-def _one_time_seconds(text: str) -> Found | None:
+def _of_one(text: str) -> Found | None:
     for code, sentence, pattern in _patterns():
         match = pattern.fullmatch(text)
         data = {name: _value(value) for name, value in match.groupdict().items()} if match else {}

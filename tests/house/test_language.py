@@ -19,7 +19,7 @@ PHRASES = re.compile(r"\bgiven up\b", re.IGNORECASE)
 KEPT = {
     "worker_hindered": "the code of a condition, which dashboards and alert rules outside know",
 }
-BARE = re.compile(r"_?of|_?of_\w+|\w+_of|_?with_\w+")
+BARE = re.compile(r"_?of_\w+|\w+_of|_?with_\w+")
 """Names that say neither the noun nor what is done: `x_of`, `_of_x`, `with_x`."""
 KEPT_NAMES = {
     "client/xarray_accessor.py: with_directions",  # programs outside call them

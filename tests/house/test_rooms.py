@@ -19,7 +19,6 @@ APART = {
     "sunarc.calibration.fit.level_evidence": "needs the equations of a fit; the judgement of a tilt stands below them",
     "sunarc.calibration.quality.day_clocks": "a model of its own, solved for each day; the checks of a fit ask it once",
     "sunarc.cli.commands": "what the entry points name",
-    "sunarc.cli.main": "what the console script calls; `python -m sunarc` calls it too",
     "sunarc.imager.live.resized_pictures": "counts pictures, without files; its reader is a worker",
     "sunarc.imager.workers.calibrating.pose_conditions": "conditions without a loop; its reader is a worker",
     "sunarc.imager.workers.cycles": "of the core, which computes; its reader is a worker",

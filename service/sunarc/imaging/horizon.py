@@ -94,7 +94,7 @@ def horizon_profile(mask: ObstructionMask, *, sigma_deg: float = 0.0) -> Horizon
     return HorizonProfile(elevation_deg=top, sigma_deg=sigma, openings=openings)
 
 
-class _Part(NamedTuple):
+class _HorizonPart(NamedTuple):
     """Azimuths of a horizon (n): highest elevations by offset, whether the image shows them, probabilities."""
 
     tops: FloatArray
@@ -103,7 +103,7 @@ class _Part(NamedTuple):
     middle: Cells
 
 
-def _part(probability: Cells, camera: Camera, azimuth_deg: FloatArray) -> _Part:
+def _part(probability: Cells, camera: Camera, azimuth_deg: FloatArray) -> _HorizonPart:
     azimuth = (azimuth_deg[:, None] + np.array(_OFFSETS_DEG))[..., None]
     directions = direction_from_angles(zenith_deg=90.0 - _ELEVATION, azimuth_deg=azimuth)
     at = project_fast(camera, directions.reshape(-1, 3))
@@ -112,7 +112,7 @@ def _part(probability: Cells, camera: Camera, azimuth_deg: FloatArray) -> _Part:
     hidden = sampled_cells(probability, at.reshape(shape[0], -1, 2), camera).reshape(shape)
     tops, widths = (_highest(hidden, seen, limit, _ELEVATION) for limit in (0.5, 0.1))
     middle = np.where(seen, hidden, np.float32(1.0))[:, len(_OFFSETS_DEG) // 2]
-    return _Part(tops, widths, np.asarray(seen.any(axis=(1, 2))), middle)
+    return _HorizonPart(tops, widths, np.asarray(seen.any(axis=(1, 2))), middle)
 
 
 def _highest(hidden: Cells, seen: BoolArray, limit: float, elevation: FloatArray) -> FloatArray:
