@@ -103,8 +103,8 @@ CALLS: dict[str, dict[str, Any]] = {
         "start": PROBLEM.unknowns([CAMERA, CAMERA]),
         "moving": np.arange(PROBLEM.size),
     },
-    "residuals_of": _FIT | {"vector": CAMERA.to_vector()},
-    "residuals_and_columns_of": _FIT
+    "compute_residuals": _FIT | {"vector": CAMERA.to_vector()},
+    "residuals_and_jacobian": _FIT
     | {
         "vectors": np.stack([CAMERA.to_vector()] * 2),
         "basis": np.ascontiguousarray(PROBLEM.prior.basis),
@@ -328,7 +328,7 @@ def test_numbers_that_are_none_end_in_an_answer(name: str, value: float) -> None
 
 _BY_PLACE = [
     "most_probable",
-    "residuals_and_columns_of",
+    "residuals_and_jacobian",
     "paper_fit",
     "waves_at",
     "likelihood_of",

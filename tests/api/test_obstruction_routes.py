@@ -51,7 +51,7 @@ def learner_of(made: Made, day: tuple[World, list[np.ndarray]], folder: Path) ->
     assert model is not None
     assert record is not None
     of_world = replace(model, camera=camera_of(world))
-    vars(found)["_known"] = lambda calibration: of_world if calibration else None
+    vars(found)["_find_known"] = lambda calibration: of_world if calibration else None
     found._follow("second", of_world)
     found._calibration = record.id
     return found

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).parents[2]
 SERVICE = ROOT / "service" / "sunarc"
 FILES = sorted(SERVICE.rglob("*.py"))
-MAKERS = ("Finding", "FitCheck", "condition", "condition_of", "stepped", "_report")
+MAKERS = ("Finding", "FitCheck", "condition", "make_condition", "stepped", "_report")
 FORMATTED: dict[str, tuple[str, ...]] = {
     "changed_": get_args(ChangeKind),
     "database_": get_args(Recovered),
@@ -128,7 +128,7 @@ def names_of_data(call: ast.Call, maker: str, dicts: dict[str, ast.Dict]) -> set
     if maker == "FitCheck":
         return names_of_check(call)
     if maker != "Finding":
-        given = {keyword.arg for keyword in call.keywords} | ({"name"} if maker == "condition_of" else set())
+        given = {keyword.arg for keyword in call.keywords} | ({"name"} if maker == "make_condition" else set())
         return None if maker == "stepped" or None in given else {str(name) for name in given}
     data = call.args[1] if len(call.args) > 1 else ast.Dict([], [])
     data = dicts.get(data.id, data) if isinstance(data, ast.Name) else data

@@ -209,7 +209,7 @@ def test_only_what_rests_on_something_else_is_made_again(
 
     monkeypatch.setattr("sunarc.archives.results.export_all_formats", export_all_formats)
     first, cluster = analysed(indexed_in(folder), out, monkeypatch, exports=True)
-    assert set(cluster.calls) == {"exports_of"}
+    assert set(cluster.calls) == {"export_all_formats"}
     files = {path: path.stat().st_mtime_ns for path in out.glob("exports/**/*.*")}
     second, cluster = analysed(indexed_in(folder), out, monkeypatch, exports=True)
     assert (cluster.chunks, cluster.calls) == ([], [])
@@ -220,7 +220,7 @@ def test_only_what_rests_on_something_else_is_made_again(
     broken = next(iter(out.glob("exports/mast/*/part/map.nc")))
     broken.write_bytes(b"mask")
     _, cluster = analysed(indexed_in(folder), out, monkeypatch, exports=True)
-    assert cluster.calls == ["exports_of"]
+    assert cluster.calls == ["export_all_formats"]
     assert broken.read_bytes() == b"mast"
     indexed = indexed_in(folder)
     fewer = replace(indexed.cameras[1], images=indexed.cameras[1].images[:-10])
