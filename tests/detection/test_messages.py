@@ -12,7 +12,7 @@ from tests.finding_codes import codes
 from sunarc import detection
 from sunarc.common.findings import Finding, joined
 from sunarc.common.messages import find_message
-from sunarc.detection.disc.series import beside, combine
+from sunarc.detection.disc.series import check_against_bracket, combine
 from sunarc.detection.values import Detection, Verdict
 
 FITTED = Finding("disc_found", {"chi2": 1.043})
@@ -66,7 +66,7 @@ def test_frames_that_contradict_each_other_give_one_finding() -> None:
 def test_a_frame_beside_a_covered_one_carries_its_findings() -> None:
     uneven = Finding("disc_uneven", {"uneven_px": 0.3, "chi2": 40.0})
     covered = disc(10.0, uneven, verdict="partly_covered", snr=200.0)
-    latest = beside([covered], disc(10.0, FITTED), shifts=None)
+    latest = check_against_bracket([covered], disc(10.0, FITTED), shifts=None)
     assert latest.findings == (Finding("bracket_covered"), uneven)
 
 

@@ -565,15 +565,15 @@ def _held_to_days(final: Final, given: CameraSightings, noise: FloatArray) -> Fi
     return _finish_epochs(final, Final(tuple(states), (), path, fitted), points)
 
 
-class Starry(NamedTuple):
-    """Accepted sightings of a camera, their outcome, and the stars of its nights."""
+class StarFitInput(NamedTuple):
+    """Input of a fit of sun and stars: accepted sightings, the outcome by the sun alone, and sightings of stars."""
 
     given: CameraSightings
     final: Final
     stars: Sightings
 
 
-def starry_analysis(of: Starry) -> Final:
+def starry_analysis(of: StarFitInput) -> Final:
     """Return epochs and calibrations with those calibrations that are better fitted to suns and stars."""
     final, given = of.final, of.given
     if not len(given.points):

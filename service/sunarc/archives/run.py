@@ -12,7 +12,7 @@ from sunarc.archives.fit import (
     CameraSightings,
     Final,
     Rough,
-    Starry,
+    StarFitInput,
     final_analysis,
     first_analysis,
     kept_provisional,
@@ -245,11 +245,11 @@ def _add_stars(
     ledger: Ledger,
 ) -> dict[int, Final]:
     """Return the cameras with their stars, by number; an error of the stars' workers changes nothing."""
-    starry: dict[int, Starry] = {}
+    starry: dict[int, StarFitInput] = {}
     for number, one in final.items():
         stars = None if one is None else star_points(nights[number], one.states, one.epochs)
         if one is not None and stars is not None:
-            starry[number] = Starry(suns[number], one, stars)
+            starry[number] = StarFitInput(suns[number], one, stars)
     names = [nights[number].nights.camera.plan.name for number in starry]
     fitted = ledger.each(passes.cluster.each, starry_analysis, list(starry.values()), names=names)
     return {number: one for number, one in zip(starry, fitted, strict=True) if one is not None}

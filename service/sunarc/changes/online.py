@@ -216,7 +216,7 @@ def best_hypothesis(
 
 
 def _clearer_than_cloud(scored: ScoredHypothesis) -> float:
-    """Return by how many powers of e a change must be better than an episode of cloud."""
+    """Return the log odds by which a change must exceed an episode of cloud."""
     if scored.of.kind in OF_LENS:
         return _LENS_CLEARER_THAN_CLOUD
     return _CLEARER_AT_FIRST if scored.agreeing < _FEW_AGREEING else _CLEARER_THAN_CLOUD
@@ -364,7 +364,7 @@ def _lens_alone(window: ResidualModel) -> list[ScoredHypothesis]:
 
 
 def rarity(kind: ChangeKind, *, clock_stepped: bool | None) -> float:
-    """Return by how many powers of e a kind of change is rarer than a turn.
+    """Return the log odds against a kind of change, relative to a turn.
 
     A clock that the host set is not rarer, and one that nothing watches (None) is set as often as a camera is turned.
     """
@@ -484,7 +484,7 @@ def describe_change(
     Parameters
     ----------
     window, explanation, mixture : the sightings, their explanation, and its posterior.
-    gain : powers of e by which it is better than none.
+    gain : log odds against no change.
     alike : first sightings after a change that explain nearly as well.
     perhaps : other kinds that do.
     """

@@ -38,7 +38,7 @@ _MOST_EPISODES = 3
 _EPISODE_TIMES_S = (300.0, 1200.0)
 """Correlation times of the cloud's effect on a detection."""
 _EDGE_STEPS = (0.25, 0.25, 0.12, 0.06)
-"""Steps by which the ends of an episode are moved, as shares of its length: a loose interval costs 10 powers of e."""
+"""Steps by which the ends of an episode are moved, as shares of its length: a loose interval costs log odds of 10."""
 _EPISODE_GAIN = 2.0
 """Logarithm of the likelihood that an episode must gain: its own improbability."""
 _POSE_RAD = math.radians(RECORD.turn_deg)
@@ -122,7 +122,7 @@ def log_bayes_factor(
     two: tuple[Camera, FloatArray],
     turn_rad: float,
 ) -> float:
-    """Return by how many powers of e a turn before a sighting explains the residuals better than one pose does.
+    """Return the log odds of a turn before a sighting against one pose.
 
     Parameters
     ----------

@@ -291,7 +291,7 @@ def agrees(seen: Candidate, anchor: Detection) -> bool:
 
 
 def weighted_mean(anchor: Detection, agreeing: Sequence[tuple[Candidate, float | None]]) -> Detection:
-    """Return the anchor at the weighted mean of the detections that agree with it."""
+    """Return the most certain detection, moved to the weighted mean position of those that agree with it."""
     if len(agreeing) < 2:
         return anchor
     places = np.array([[each.rim.x, each.rim.y] for each, _ in agreeing])

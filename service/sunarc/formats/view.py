@@ -267,7 +267,7 @@ class Comparison:
 
 
 def compare(first: View, second: View) -> Comparison:
-    """Return how far the second camera is from the first one.
+    """Return the differences in direction and in pixel position between two cameras.
 
     Where one of the two has no pose, the second one is rotated to fit best before.
 

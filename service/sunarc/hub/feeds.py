@@ -502,7 +502,7 @@ class _Storing:
         """Store rows or none of them, and return why not; an error that is of no row (server, disk) is raised."""
         try:
             with self.connection.begin_nested() if self.one_by_one else nullcontext():
-                _write(self.connection, self.batch.camera, kind, rows)
+                _apply_rows(self.connection, self.batch.camera, kind, rows)
         except StatementError as error:
             not_allowed = _NOT_ALLOWED in str(error) and not kind.endswith(REMOVED)  # no hub may remove some rows
             if isinstance(error, DBAPIError) and (not_allowed or not refuses_row(self.connection, error)):
@@ -519,7 +519,8 @@ def _another_cameras(what: str) -> IntegrityError:
     return IntegrityError(None, None, ValueError(f"{what} is another camera's"))
 
 
-def _write(connection: Connection, camera_name: str, kind: str, rows: Sequence[FeedRow]) -> None:
+def _apply_rows(connection: Connection, camera_name: str, kind: str, rows: Sequence[FeedRow]) -> None:
+    """Insert, update or remove a camera's rows of one kind, as its feed states."""
     if kind.endswith(REMOVED):
         _remove(connection, camera_name, kind.removesuffix(REMOVED), rows)
         return

@@ -64,7 +64,7 @@ def require_inside(pixels: FloatArray, image_size: tuple[int, int], *, name: str
 
 @contextmanager
 def writing_into(folder: Path) -> Iterator[None]:
-    """Make a folder to write into; one that cannot be is the caller's error.
+    """Create an output folder for a context in which a failure to write is an InputError.
 
     Raises
     ------

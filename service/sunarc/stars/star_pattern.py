@@ -68,8 +68,8 @@ class Pattern(NamedTuple):
     rotation: FloatArray
 
 
-class _Turned(NamedTuple):
-    """The stars at each place of the zenith, in the order of their angles off the axis.
+class _TiltedStars(NamedTuple):
+    """The stars for each trial tilt of the camera's axis, in the order of their angles off the axis.
 
     tilts: (k, 3, 3). off_axis: radians. key: of the bin of a vote for detections in bin 0.
     """
@@ -123,20 +123,20 @@ def _tilts(greatest: float) -> FloatArray:
     return np.asarray(rotation_matrix(np.concatenate(rings)))
 
 
-def _turn_stars(stars: FloatArray, tilts: FloatArray) -> _Turned:
+def _turn_stars(stars: FloatArray, tilts: FloatArray) -> _TiltedStars:
     x, y, z = np.moveaxis(stars @ np.swapaxes(tilts, -1, -2), -1, 0).reshape(3, -1)
     off_axis = np.arctan2(np.hypot(x, y), z)
     order = np.argsort(off_axis, kind="stable")
     order = order[off_axis[order] > _NEAR_AXIS]
     key = order // stars.shape[0] * 2 * _BINS + _BINS - _bin_index(np.arctan2(y[order], x[order]))
-    return _Turned(tilts, off_axis[order], key)
+    return _TiltedStars(tilts, off_axis[order], key)
 
 
 def _bin_index(angle: FloatArray) -> IntArray:
     return np.floor(angle * (_BINS / (2.0 * math.pi))).astype(np.int64) % _BINS
 
 
-def _search_lens(away: FloatArray, turned: _Turned, focal: float, shape: float) -> Iterator[Pattern]:
+def _search_lens(away: FloatArray, turned: _TiltedStars, focal: float, shape: float) -> Iterator[Pattern]:
     """Yield the best hypotheses of one lens, of either handedness."""
     angle = radius_to_angle(np.hypot(*away.T) / focal, shape)
     used = np.flatnonzero(angle < MAX_ANGLE)[:_DETECTIONS]

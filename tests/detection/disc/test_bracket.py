@@ -11,7 +11,7 @@ import scipy.stats
 
 from sunarc.common.errors import InputError
 from sunarc.common.findings import Finding
-from sunarc.detection.disc.series import beside, combine
+from sunarc.detection.disc.series import check_against_bracket, combine
 from sunarc.detection.values import Detection
 
 
@@ -75,20 +75,22 @@ def test_a_bracket_without_frames_or_shifts_is_refused(count: int, shifts: list[
 
 def test_a_frame_is_not_believed_where_its_bracket_is_elsewhere() -> None:
     first, second = sighting(10.0, 5.0, 0.004), sighting(10.6, 5.0, 0.004)
-    assert not beside([first], second, shifts=[(0.0, 0.0)]).accepted
-    assert beside([first], second, shifts=[(0.6, 0.0)]) == second
-    assert beside([first], second, shifts=None) == second
+    assert not check_against_bracket([first], second, shifts=[(0.0, 0.0)]).accepted
+    assert check_against_bracket([first], second, shifts=[(0.6, 0.0)]) == second
+    assert check_against_bracket([first], second, shifts=None) == second
 
 
 def test_frames_nearer_than_a_tenth_of_a_pixel_agree() -> None:
-    assert beside([sighting(10.0, 5.0, 0.003)], sighting(10.06, 5.0, 0.003), shifts=[(0.0, 0.0)]).accepted
+    assert check_against_bracket(
+        [sighting(10.0, 5.0, 0.003)], sighting(10.06, 5.0, 0.003), shifts=[(0.0, 0.0)]
+    ).accepted
 
 
 def test_what_told_more_and_saw_a_covered_disc_is_believed() -> None:
     covered = replace(sighting(10.0, 5.0, 0.003, accepted=False, snr=900.0), verdict="partly_covered")
     faint = sighting(10.0, 5.0, 0.01, snr=100.0)
-    assert beside([covered], faint, shifts=None).verdict == "partly_covered"
-    assert beside([faint], sighting(10.0, 5.0, 0.003, snr=900.0), shifts=None).accepted
+    assert check_against_bracket([covered], faint, shifts=None).verdict == "partly_covered"
+    assert check_against_bracket([faint], sighting(10.0, 5.0, 0.003, snr=900.0), shifts=None).accepted
 
 
 @pytest.mark.parametrize(("chi2", "accepted"), [(0.99, True), (1.01, False)])
@@ -124,22 +126,24 @@ def test_a_frame_without_a_sigma_takes_no_part() -> None:
 @pytest.mark.parametrize(("apart", "accepted"), [(0.099, True), (0.101, False)])
 def test_frames_a_tenth_of_a_pixel_apart_are_compared_by_chance(apart: float, *, accepted: bool) -> None:
     earlier, latest = sighting(10.0, 5.0, 0.003), sighting(10.0 + apart, 5.0, 0.003)
-    assert beside([earlier], latest, shifts=[(0.0, 0.0)]).accepted == accepted
-    assert beside([earlier], replace(latest, sigma_px=0.05), shifts=[(0.0, 0.0)]).accepted  # by chance: 2 sigma
+    assert check_against_bracket([earlier], latest, shifts=[(0.0, 0.0)]).accepted == accepted
+    assert check_against_bracket(
+        [earlier], replace(latest, sigma_px=0.05), shifts=[(0.0, 0.0)]
+    ).accepted  # by chance: 2 sigma
 
 
 def test_a_rejected_detection_stays_as_it_is() -> None:
     rejected = sighting(10.0, 5.0, 0.003, accepted=False)
-    assert beside([sighting(90.0, 5.0, 0.003)], rejected, shifts=[(0.0, 0.0)]) == rejected
+    assert check_against_bracket([sighting(90.0, 5.0, 0.003)], rejected, shifts=[(0.0, 0.0)]) == rejected
 
 
 def test_an_earlier_frame_without_a_position_is_not_compared() -> None:
     nothing = replace(sighting(10.0, 5.0, 0.003), x_px=None, y_px=None)
     latest = sighting(90.0, 5.0, 0.003)
-    assert beside([nothing], latest, shifts=[(0.0, 0.0)]) == latest
+    assert check_against_bracket([nothing], latest, shifts=[(0.0, 0.0)]) == latest
 
 
 @pytest.mark.parametrize(("snr", "accepted"), [(100.0, True), (101.0, False)])
 def test_only_a_stronger_frame_overrules(snr: float, *, accepted: bool) -> None:
     covered = replace(sighting(10.0, 5.0, 0.003, accepted=False, snr=snr), verdict="partly_covered")
-    assert beside([covered], sighting(10.0, 5.0, 0.01, snr=100.0), shifts=None).accepted == accepted
+    assert check_against_bracket([covered], sighting(10.0, 5.0, 0.01, snr=100.0), shifts=None).accepted == accepted

@@ -20,7 +20,7 @@ from sunarc.archives import nights as stars_module
 from sunarc.archives.fit import (
     CameraSightings,
     Final,
-    Starry,
+    StarFitInput,
     choose_better_calibrations,
     fit_poses,
     make_epoch_document,
@@ -202,7 +202,7 @@ def test_a_night_between_two_poses_is_left_out(epochs: Sequence[Epoch], of: list
 
 
 @pytest.fixture(scope="module")
-def starry(found: NightsLooked) -> Starry:
+def starry(found: NightsLooked) -> StarFitInput:
     """Return two days of the sun with the stars of the night, and the fit of the sun alone."""
     hours = np.arange(13.5, 25.0, 0.25)
     times = np.concatenate([EVENING + 3600.0 * hours - k * DAY_S for k in (1, 0)])
@@ -218,10 +218,10 @@ def starry(found: NightsLooked) -> Starry:
     stars = star_points(found, (STATE,), ONE)
     assert stars is not None
     final = Final((STATE,), ONE, path, fit_poses(points, path, (STATE,), camera))
-    return Starry(CameraSightings(points, camera, (STATE,)), final, stars)
+    return StarFitInput(CameraSightings(points, camera, (STATE,)), final, stars)
 
 
-def test_the_stars_take_part_in_the_calibration(starry: Starry) -> None:
+def test_the_stars_take_part_in_the_calibration(starry: StarFitInput) -> None:
     before, after = starry.final.fitted[0], starry_analysis(starry).fitted[0]
     assert after.calibration.verdict.accepted
     assert after.calibration.night is not None
@@ -238,7 +238,7 @@ def test_the_stars_take_part_in_the_calibration(starry: Starry) -> None:
     assert "n_stars" not in documents[0]["evidence"]["selection"]
 
 
-def test_a_refused_fit_of_suns_and_stars_leaves_that_of_the_suns(starry: Starry) -> None:
+def test_a_refused_fit_of_suns_and_stars_leaves_that_of_the_suns(starry: StarFitInput) -> None:
     good = starry.final.fitted[0]
     verdict = replace(good.calibration.verdict, accepted=False)
     refused = good._replace(calibration=replace(good.calibration, verdict=verdict))
@@ -247,7 +247,7 @@ def test_a_refused_fit_of_suns_and_stars_leaves_that_of_the_suns(starry: Starry)
     assert choose_better_calibrations({0: refused}, {0: refused._replace(rows=good.rows[:1])})[0].rows.size == 1
 
 
-def test_stars_of_another_lens_change_nothing(starry: Starry) -> None:
+def test_stars_of_another_lens_change_nothing(starry: StarFitInput) -> None:
     other = replace(starry.stars, epoch=np.full(len(starry.stars), 7))
     final, given = starry.final, starry.given
     assert fit_poses(given.points, final.path, final.states, given.camera, stars=other) == {}

@@ -35,12 +35,12 @@ def is_foreign(rows: float, columns: float) -> bool:
 
     Parameters
     ----------
-    rows, columns : of `band_evidence`.
+    rows, columns : of `band_gain`.
     """
     return rows > max(_BAND, _OVER_COLUMNS * columns) or rows > max(_LARGE_BAND, _LARGE_OVER_COLUMNS * columns)
 
 
-def band_evidence(
+def band_gain(
     problem: model.DiscProblem, state: model.DiscState, evaluation: model.Evaluation, solved: Solved, *, sigma_px: float
 ) -> tuple[float, float]:
     """Return how much the best band of rows, and the best band of columns, lowers the fit's chi².
@@ -145,7 +145,7 @@ class DiscFit(LightFit):
     stretch : (2, 2) px, from the unit disc.
     level : the brightest colour's level of the disc's centre. background : that colour's level around it.
     uneven : decrease of chi² by a disc of linear and quadratic brightness, over the reduced chi².
-    bands : decrease of chi² by a band of rows and by one of columns (`band_evidence`).
+    bands : decrease of chi² by a band of rows and by one of columns (`band_gain`).
     used_px, converged : pixels that took part; whether the steps became small.
     """
 
@@ -309,7 +309,7 @@ def _summary(
         chi2=chi2,
         residual=math.sqrt(max(excess, 0.0)) / top,
         uneven=model.unevenness(problem, state, evaluation) / max(chi2, 1.0),
-        bands=band_evidence(problem, state, evaluation, (covariance, gradient), sigma_px=sigma_px),
+        bands=band_gain(problem, state, evaluation, (covariance, gradient), sigma_px=sigma_px),
         used_px=count,
         converged=converged,
     )

@@ -53,7 +53,7 @@ def combine(detections: Sequence[Detection], *, shifts: Sequence[tuple[float, fl
     return _combine_detections(accepted)
 
 
-def beside(
+def check_against_bracket(
     earlier: Sequence[Detection], latest: Detection, *, shifts: Sequence[tuple[float, float]] | None
 ) -> Detection:
     """Return a frame's detection, checked against the earlier frames of its bracket.

@@ -182,8 +182,8 @@ def reproduce_calibration(past: Calibration, points: Sightings) -> Calibration:
             site=past.site,
             image_size=(past.camera.width, past.camera.height),
             options=_options(evidence.options),
-            circle=None if evidence.circle is None else ImageCircle(**_named(evidence.circle)),
-            start=None if evidence.start is None else Camera(**_named(evidence.start)),
+            circle=None if evidence.circle is None else ImageCircle(**_arguments_from_json(evidence.circle)),
+            start=None if evidence.start is None else Camera(**_arguments_from_json(evidence.start)),
         )
     except TypeError as error:
         raise InputError(
@@ -196,7 +196,7 @@ def reproduce_calibration(past: Calibration, points: Sightings) -> Calibration:
 def _options(stored: Mapping[str, object]) -> CalibrationOptions:
     if not stored:
         raise InputError(field="evidence.options", problem="are empty", remedy="name a calibration that a fit made")
-    named = _named(stored)
+    named = _arguments_from_json(stored)
     if named.pop("free", "all") != "all":
         raise InputError(
             field="evidence.options.free",
@@ -213,6 +213,6 @@ def _options(stored: Mapping[str, object]) -> CalibrationOptions:
     return CalibrationOptions(**named, tolerances=lens, paper=paper)
 
 
-def _named(stored: Mapping[str, object]) -> dict[str, Any]:
-    """Return arguments by name; JSON has lists where values have tuples."""
+def _arguments_from_json(stored: Mapping[str, object]) -> dict[str, Any]:
+    """Return stored JSON values as keyword arguments, with lists converted to tuples."""
     return {name: tuple(value) if isinstance(value, list) else value for name, value in stored.items()}

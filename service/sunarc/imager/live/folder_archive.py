@@ -166,7 +166,7 @@ class FolderArchiveWorker:
     def _is_due(self) -> bool:
         """Return whether a day has ended without a calibration, or the first one is there."""
         self._remember()
-        today = self._today()
+        today = self._current_solar_date()
         if self._calibrated and self._has_calibration():
             self._analysed = today
             return False
@@ -176,9 +176,10 @@ class FolderArchiveWorker:
     def _remember(self) -> None:
         """Take note of the day and of whether there is a calibration, the first time."""
         if self._analysed is None:
-            self._analysed, self._calibrated = self._today(), self._has_calibration()
+            self._analysed, self._calibrated = self._current_solar_date(), self._has_calibration()
 
-    def _today(self) -> date:
+    def _current_solar_date(self) -> date:
+        """Return the present date in the site's mean solar time."""
         return self._mean_solar_date(self.frame_time.now().timestamp())
 
     def _mean_solar_date(self, unix_s: float) -> date:
@@ -221,7 +222,7 @@ class FolderArchiveWorker:
             self._older = tuple(one for one in self._older if one.name not in done)
         self.look_back()
         if not files:
-            self._analysed, self._calibrated = self._today(), self._has_calibration()
+            self._analysed, self._calibrated = self._current_solar_date(), self._has_calibration()
         self._attempts.succeeded()
 
     def _fail(self, error: str) -> None:

@@ -133,7 +133,7 @@ class Page:
         return _sooner(requested, None if self.last is None else self.last + MICROSECOND)
 
     def until_date(self, requested: date | None) -> date | None:
-        """Return the exclusive end of the dates to query, given the client's `until`."""
+        """Return the earlier of the client's `until` and the day after the last date of the page before."""
         return _sooner(requested, None if self.last is None else self.last.date() + timedelta(days=1))
 
     def cut(

@@ -60,7 +60,7 @@ class ComposeWorker:
                 self.compose(frames)
 
     def compose(self, frames: Sequence[Frame]) -> None:
-        """Merge the exposures of one cycle and write both files; a disk that refuses costs this composite alone."""
+        """Merge the exposures of a cycle and store PNG and JPEG preview; a write error loses this composite alone."""
         sensor = frame_sensor(frames[0], self.options)
         composite = merge_hdr(
             [frame.image for frame in frames],

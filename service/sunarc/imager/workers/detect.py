@@ -17,7 +17,7 @@ from sunarc.common.array_types import Image
 from sunarc.common.errors import OutsideError
 from sunarc.common.findings import Finding
 from sunarc.detection.disc.detect import detect_sun
-from sunarc.detection.disc.series import beside
+from sunarc.detection.disc.series import check_against_bracket
 from sunarc.detection.values import Detection, DiscOptions, Expectation
 from sunarc.imager.archive.archive import Archive, CameraArchive
 from sunarc.imager.archive.pictures_of_one_time import ELSEWHERE
@@ -347,7 +347,7 @@ class DetectWorker:
         shifts = [_shift(result.expectation, expectation) for result in earlier]
         known = [shift for shift in shifts if shift is not None]
         complete = known if len(known) == len(shifts) else None
-        return beside([result.detection for result in earlier], detection, shifts=complete)
+        return check_against_bracket([result.detection for result in earlier], detection, shifts=complete)
 
     def _or_elsewhere(self, frame: Frame, found: Detection, expectation: Expectation | None) -> Detection:
         """Return the detection, or a clean disc anywhere in a frame without one at its expected place."""

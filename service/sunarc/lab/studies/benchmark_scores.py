@@ -290,10 +290,11 @@ def _bands(judged: Sequence[tuple[BenchmarkTruth, Answered, _Rows]]) -> Iterator
     chosen |= {"far": track > FAR_DEG, "all": np.ones(zenith.size, dtype=bool)}
     for name, of_band in chosen.items():
         if np.any(of_band):
-            yield _band(name, _Rows(*(column[of_band] for column in rows)))
+            yield _score_band(name, _Rows(*(column[of_band] for column in rows)))
 
 
-def _band(name: str, rows: _Rows) -> BandScore:
+def _score_band(name: str, rows: _Rows) -> BandScore:
+    """Return the statistics of the errors in a band of zenith angles, of all, or of those far from the track."""
     stated = rows.within[np.isfinite(rows.within[:, 0])]
     shares = [float(np.mean(stated[:, k])) if len(stated) else math.nan for k in range(len(SHARES))]
     return BandScore(

@@ -179,7 +179,7 @@ def run_trial(trial: Trial) -> tuple[float, ...]:
     rng = np.random.default_rng(trial.seed)
     truth, arc = true_camera(0), synthetic_arc()
     pixels = arc.pixels + rng.normal(0.0, trial.sigma_px, arc.pixels.shape)
-    fit = _batch(trial.method).fitted(pixels, found_circle(rng, truth))
+    fit = _common_fit_inputs(trial.method).fitted(pixels, found_circle(rng, truth))
     on_arc, on_sky = true_error(fit, truth, arc.directions), true_error(fit, truth, hemisphere())
     return on_arc, on_sky, *fit.focal_length_px, *fit.principal_point_px
 
@@ -191,7 +191,7 @@ def synthetic_arc() -> Sightings:
 
 
 @cache
-def _batch(method: Method) -> Batch:
+def _common_fit_inputs(method: Method) -> Batch:
     """Return the common data of all fits by a method."""
     truth, arc = true_camera(0), synthetic_arc()
     return Batch.near(

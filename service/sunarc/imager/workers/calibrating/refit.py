@@ -666,7 +666,7 @@ class CalibrationIntegrityCheck:
             self._report("evidence_changed", calibration=current.id, error=str(error))
 
     def _report(self, code: str, *, calibration: str, **data: str) -> Reason:
-        """Write an event the first time, and return the condition."""
+        """Store an alarm once for each calibration, ask for a refit of a damaged one, and return the condition."""
         finding = Finding(code, {"calibration": calibration, **data})
         if code == "calibration_damaged":
             self._replace(calibration)

@@ -103,8 +103,8 @@ def _flipped(
     return (Finding("stars_flipped", {"flip": flip, "n": max(counts)}),) if any(counts) else ()
 
 
-def _longer(by_image: dict[int, float]) -> tuple[Finding, ...]:
-    """Return the finding of images that were exposed for longer than the camera states."""
+def _exposure_finding(by_image: dict[int, float]) -> tuple[Finding, ...]:
+    """Return the finding of images whose stars are too bright for the stated exposure; empty without such images."""
     data = {"n": len(by_image), "magnitudes": max(by_image.values(), default=0.0), "limit": MOST_BRIGHTER_MAG}
     return (Finding("night_exposed_longer", data),) if by_image else ()
 
@@ -445,7 +445,7 @@ class NightWorker:
         ]
         longer = exposed_longer(taken, self._zero_points_before())
         kept = [row for row in range(len(taken)) if row not in longer]
-        return [images[row] for row in kept], [taken[row] for row in kept], _longer(longer)
+        return [images[row] for row in kept], [taken[row] for row in kept], _exposure_finding(longer)
 
     def _without_numbers(
         self, images: Sequence[_StarImage], findings: tuple[Finding, ...], picture_time: datetime | None
