@@ -93,7 +93,7 @@ def test_two_pixels_of_one_place_give_its_height(client: Client) -> None:
     [
         ("a/a", {}, 422, "b"),
         ("a/none", {}, 404, "camera"),
-        ("a/new", {}, 404, "at"),
+        ("a/new", {}, 404, "calibration"),
         ("a/b", {"time": "1999-01-01T00:00:00Z"}, 404, "at"),
         ("a/b", {"time": "noon"}, 422, "time"),
         ("a/b", {"pixel_a": [1e6, 0.0]}, 422, "pixel_a"),
