@@ -120,8 +120,9 @@ def test_a_mirror_image_at_the_equinox_is_not_accepted() -> None:
     site = Site(latitude=-0.2, longitude=-78.5, altitude=2850.0)
     found = calibrate(points, site=site, image_size=(1920, 1920))
     assert not found.verdict.accepted
+    # a mount that may turn leaves the handedness open or nearly so; either reason asks for it
+    assert _codes(found)[0] in {"other_handedness_fits", "mirroring_ambiguous"}
     # the latitude of the other sign fits no better: that remedy would lead back here
-    assert _codes(found)[0] == "other_handedness_fits"
     assert "latitude_of_other_sign_fits" not in _codes(found)
 
 
