@@ -45,7 +45,7 @@ def test_a_served_camera_is_tilted_by_more_than_is_stated(
         current=lambda _: SimpleNamespace(id="20240320T100000Z-abc123"),
         model=lambda _: served,
         damaged=lambda _: None,
-        sightings_of=without_evidence,
+        sightings_given_to=without_evidence,
     )
     camera: Any = SimpleNamespace(name="roof", archive=SimpleNamespace(calibrations=calibrations))
     board: Any = Board()

@@ -62,7 +62,7 @@ async function refreshStatus() {
   $("replay").hidden = !status.is_replay;
   $("replay").textContent = status.is_replay ? `▶ replay: its clock shows ${zoned(status.frame_time, status.timezone)}` : "";
   const c = status.calibration;
-  const before = status.findings.some((one) => one.code === "lens_changed") ? " before the change of the lens" : "";
+  const before = [...status.reasons, ...status.notes].some((one) => one.code === "lens_changed") ? " before the change of the lens" : "";
   const quality = c ? `calibrated ${ago(c.created_at, status.frame_time)}, direction uncertainty ${telling(c.sky_rms_deg, "°")}${before}` : known.calibrations.length ? "no calibration serves" : "not calibrated yet";
   const seen = status.last_sighting_at ? `last sighting ${ago(status.last_sighting_at, status.frame_time)}` : "no sighting yet";
   showHealth(status.state, [...lastClearDay(), quality, seen].join(" · "), status.state === "ready" ? "" : status.state_text);
