@@ -95,13 +95,13 @@ def drop_small_changes(points: Sightings, states: Sequence[State], camera: Archi
             if (epoch.first, epoch.last) in settled:
                 continue
             settled.add((epoch.first, epoch.last))
-            for_epoch = points.select(rows)
+            epoch_points = points.select(rows)
             change = change_within(
-                camera.shifted(for_epoch, state.clock_offset_s), state.calibration.camera, camera.site, noise[rows]
+                camera.shifted(epoch_points, state.clock_offset_s), state.calibration.camera, camera.site, noise[rows]
             )
             if change is not None:
-                late = for_epoch.unix_s - state.clock_offset_s >= change.time
-                sides = for_epoch.select(~late), for_epoch.select(late)
+                late = epoch_points.unix_s - state.clock_offset_s >= change.time
+                sides = epoch_points.select(~late), epoch_points.select(late)
                 found += changed_states(found, state, sides, change.cause, camera)
                 split = True
         if not split:

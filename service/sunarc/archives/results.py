@@ -178,7 +178,7 @@ def _write_detections(folder: Path, results: Sequence[CameraResult], ledger: Led
 def _detections(result: CameraResult, ledger: Ledger) -> dict[str, Sequence[object]]:
     """Return the detections in each image by columns: the answer that counts, with a rejected position, too."""
     images = result.looked.images
-    record_columns = {make_image_id(image): row for row, image in enumerate(images)}
+    row_by_image = {make_image_id(image): row for row, image in enumerate(images)}
     columns: dict[str, list[object]] = {name: [None] * len(images) for name in ("verdict", "code", *_NUMBERS_FOUND)}
     accepted, predicted, open_rows = [False] * len(images), [False] * len(images), set(range(len(images)))
     for row, found in enumerate(result.looked.found):
@@ -187,7 +187,7 @@ def _detections(result: CameraResult, ledger: Ledger) -> dict[str, Sequence[obje
             open_rows.remove(row)
     for number in (PREDICTED, SEARCHED):
         for image, known in ledger.answers(result.part, pass_number=number):
-            row = record_columns.get(image, -1)
+            row = row_by_image.get(image, -1)
             if (
                 row not in open_rows
                 or isinstance(known.found, NamedStars)

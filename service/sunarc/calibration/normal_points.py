@@ -76,7 +76,7 @@ class DenseRecord(NamedTuple):
         n, evidence = int(np.count_nonzero(counted)), solved.evidence
         size = float(np.median(np.bincount(self.member)))
         noise = evidence.sigma_px**2 * evidence.inflation * size / self.sigma_px**2
-        fit_as_all_sightings = replace(
+        whole = replace(
             solved,
             left_out=left_out,
             metrics=self._metrics(solved.metrics, n),
@@ -90,12 +90,10 @@ class DenseRecord(NamedTuple):
             ),
         )
         said = {"n": int(np.sum(normal.count)), "n_points": len(normal), "slot_s": self.slot_s}
-        found = [_about(one, fit_as_all_sightings) for one in solved.verdict.findings]
+        found = [_about(one, whole) for one in solved.verdict.findings]
         if solved.verdict.accepted:
             found.append(Finding("sightings_in_slots", said))
-        return replace(fit_as_all_sightings, verdict=replace(solved.verdict, findings=tuple(found))), self._numbered(
-            normal
-        )
+        return replace(whole, verdict=replace(solved.verdict, findings=tuple(found))), self._numbered(normal)
 
     def _metrics(self, of_points: Metrics, n: int) -> Metrics:
         """Return the metrics of n sightings: of the normal points, with the scatter within the slots."""

@@ -222,17 +222,17 @@ def _passes(record: Candidates, among: IntArray, day: IntArray, site: Site, opti
     key, of_run = np.unique((patch * n_epochs + epoch) * n_days + day - first_day, return_inverse=True)
     member = of_run[run]
     count = np.bincount(member, minlength=key.size)
-    of_patch, for_epoch = key // (n_days * n_epochs), key // n_days % n_epochs
+    of_patch, epoch_number = key // (n_days * n_epochs), key // n_days % n_epochs
     grade = sigma_grade(record.sigma_px[among], member, count)
     bits = _bits_reversed(key % n_days)
-    order = np.lexsort((bits, grade, for_epoch < n_epochs - 1, of_patch))
-    count, of_patch, for_epoch = count[order], of_patch[order], for_epoch[order]
+    order = np.lexsort((bits, grade, epoch_number < n_epochs - 1, of_patch))
+    count, of_patch, epoch_number = count[order], of_patch[order], epoch_number[order]
     rank = np.empty(key.size, dtype=np.int64)
     rank[order] = np.arange(key.size)
     return _Passes(
         n=count,
         before=_before(count, of_patch),
-        before_in_epoch=_before(count, of_patch * n_epochs + for_epoch),
+        before_in_epoch=_before(count, of_patch * n_epochs + epoch_number),
         rank=rank[member],
         patches=int(np.unique(of_patch).size),
     )

@@ -57,8 +57,8 @@ def explain_step(step: PoseChange, *, before: Site, after: Site) -> tuple[PoseCh
     weighed = [one for change in changes for one in _explanations(change, before, after)]
     best = most_probable(weighed).explanation
     of_cause = [one.log_evidence - one.rarer for one in weighed if one.explanation.cause == best.cause]
-    part_from_others = [one.log_evidence - one.rarer for one in weighed if one.explanation.cause != best.cause]
-    against = np.logaddexp.reduce([*part_from_others, DAYS.gain]) - np.logaddexp.reduce(of_cause)
+    other_evidence = [one.log_evidence - one.rarer for one in weighed if one.explanation.cause != best.cause]
+    against = np.logaddexp.reduce([*other_evidence, DAYS.gain]) - np.logaddexp.reduce(of_cause)
     return best, (1.0 - _NOT_WEIGHED) * float(np.exp(-np.logaddexp(0.0, against)))
 
 

@@ -223,8 +223,8 @@ def body_directions(
     temperature, pressure : (n,) of the air, °C and Pa, as measured; the site's where None or NaN.
     """
     directions = np.full((unix_s.size, 3), np.nan)
-    record_columns = {f"{STAR}{hip}": row for row, hip in enumerate(_stars().hip.tolist())}
-    star = np.array([record_columns.get(name, -1) for name in names.tolist()], dtype=np.int64)
+    row_by_name = {f"{STAR}{hip}": row for row, hip in enumerate(_stars().hip.tolist())}
+    star = np.array([row_by_name.get(name, -1) for name in names.tolist()], dtype=np.int64)
     bodies = [(np.asarray(names == name), name) for name in SOLAR_SYSTEM_BODIES]
     # all of one moment at once: many stars are of one image
     for moment in np.unique(unix_s[(star >= 0) | np.isin(names, SOLAR_SYSTEM_BODIES)]).tolist():

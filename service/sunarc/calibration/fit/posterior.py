@@ -500,8 +500,8 @@ class _Six(NamedTuple):
         drawn = np.concatenate([normal, self.at[2:] + normal @ root.T])
         near = np.linalg.solve(root, (drawn - self.at[2:]).T)
         of_prior = -0.5 * np.sum(drawn**2, axis=1)
-        gaussian_covariance = -0.5 * np.sum(near**2, axis=0) - np.sum(np.log(np.diag(root)))
-        return drawn, of_prior - np.logaddexp(of_prior, gaussian_covariance)
+        log_gaussian = -0.5 * np.sum(near**2, axis=0) - np.sum(np.log(np.diag(root)))
+        return drawn, of_prior - np.logaddexp(of_prior, log_gaussian)
 
 
 def decentering_covariance(

@@ -197,15 +197,15 @@ def _judged_together(usable: Sightings, rows: IntArray, fewest: int) -> Iterator
 
     The last days of few of an epoch are joined by the rows before them.
     """
-    for for_epoch in np.split(rows, np.flatnonzero(np.diff(usable.epoch[rows])) + 1):
+    for epoch_rows in np.split(rows, np.flatnonzero(np.diff(usable.epoch[rows])) + 1):
         together = rows[:0]
-        for of_day in np.split(for_epoch, np.flatnonzero(np.diff(usable.day[for_epoch])) + 1):
+        for of_day in np.split(epoch_rows, np.flatnonzero(np.diff(usable.day[epoch_rows])) + 1):
             together = np.concatenate([together, of_day]) if of_day.size < fewest else of_day
             if together.size >= fewest:
                 yield together
                 together = rows[:0]
-        if together.size and for_epoch.size >= _FEWEST_FOR_SHARE:
-            yield for_epoch[-max(fewest, together.size) :]
+        if together.size and epoch_rows.size >= _FEWEST_FOR_SHARE:
+            yield epoch_rows[-max(fewest, together.size) :]
 
 
 def _runs_smoothly(

@@ -85,7 +85,7 @@ def read_columns(
     # few epochs and millions of rows: a row has its epoch's beginning, of which a camera has no two alike, and no name
     epochs = tables.pose_epoch.c
     named = select(_beginning(epochs.started_at), epochs.id).where(epochs.camera == camera)
-    public_address = {int(beginning): str(name) for beginning, name in connection.execute(named)}
+    epoch_ids = {int(beginning): str(name) for beginning, name in connection.execute(named)}
     present, epoch = np.unique(rows["epoch"], return_inverse=True)
     temperature, pressure = _air(connection, camera, rows)
     return SunPointColumns(
@@ -94,7 +94,7 @@ def read_columns(
         sigma_px=_nan_for_negative(rows["sigma"]),
         clock_error_s=_nan_for_negative(rows["clock"]),
         epoch=epoch.astype(np.int64),
-        epoch_ids=tuple(public_address[beginning] for beginning in present.tolist()),
+        epoch_ids=tuple(epoch_ids[beginning] for beginning in present.tolist()),
         ids=rows["id"].copy(),
         temperature=temperature,
         pressure=pressure,

@@ -350,8 +350,8 @@ def _digest(login: tuple[str, str], parameters: Mapping[str, str], *, method: st
     """Return the answer to a Digest challenge; None where it is incomplete, or its algorithm is not known."""
     realm, nonce = parameters.get("realm"), parameters.get("nonce")
     algorithm = parameters.get("algorithm") or "MD5"
-    content_hash = _HASHES.get(algorithm.lower().removesuffix(_SESSION))
-    if content_hash is None or realm is None or not nonce:
+    hash_content = _HASHES.get(algorithm.lower().removesuffix(_SESSION))
+    if hash_content is None or realm is None or not nonce:
         return None
     offered = {one.strip().lower() for one in parameters.get("qop", "").split(",")} - {""}
     qop = next((one for one in ("auth", "auth-int") if one in offered), None)
@@ -359,14 +359,14 @@ def _digest(login: tuple[str, str], parameters: Mapping[str, str], *, method: st
         return None
 
     def hashed(*parts: str) -> str:
-        return content_hash(":".join(parts).encode("latin-1"))
+        return hash_content(":".join(parts).encode("latin-1"))
 
     user, password, uri = (part.encode().decode("latin-1") for part in (*login, uri))  # UTF-8 on the wire
     once, count = secrets.token_hex(8), "00000001"
     secret = hashed(user, realm, password)
     if algorithm.lower().endswith(_SESSION):
         secret = hashed(secret, nonce, once)
-    request = hashed(method, uri, content_hash(b"")) if qop == "auth-int" else hashed(method, uri)
+    request = hashed(method, uri, hash_content(b"")) if qop == "auth-int" else hashed(method, uri)
     numbered = [] if qop is None else [count, once, qop]
     response = hashed(secret, nonce, *numbered, request)
     given = {"username": user, "realm": realm, "nonce": nonce, "uri": uri, "response": response}
