@@ -14,7 +14,7 @@ from sunarc.common.errors import CameraError, CameraLostError
 from sunarc.imager.cameras.frame import Frame
 from sunarc.imager.runtime.clock import VirtualClock
 from sunarc.imager.runtime.status import StatusRegistry
-from sunarc.imager.workers.night.gain import CODE, NightGain
+from sunarc.imager.workers.night.exposures import GAIN_NOT_RESTORED, NightGain
 from sunarc.imager.workers.options import SensorOptions, frame_sensor
 from sunarc.lab.simulation.options import SceneOptions, SimulatedNight
 from sunarc.lab.simulation.scene import Scene
@@ -76,7 +76,7 @@ def test_a_gain_that_stays_raised_blocks_until_it_is_restored(clock: VirtualCloc
     taken.gain_stuck = True
     with pytest.raises(CameraLostError):
         gain.take(taken, 12.0, lambda: taken.expose(5e6))
-    assert codes(board) == {CODE}
+    assert codes(board) == {GAIN_NOT_RESTORED}
     with pytest.raises(CameraLostError):
         gain.restore(taken)
     taken.gain_stuck = False

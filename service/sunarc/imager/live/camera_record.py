@@ -1,11 +1,11 @@
-"""The camera of the settings in an archive: written down before a real one has answered."""
+"""Record of the settings' camera in an archive: before a real one has answered, and after its picture was resized."""
 
 from __future__ import annotations
 
 import logging
 from dataclasses import replace
 from datetime import datetime
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from sunarc.common.errors import InputError
 from sunarc.common.findings import Finding
@@ -15,9 +15,11 @@ from sunarc.imager.archive.values import CameraRecord, Event
 
 if TYPE_CHECKING:
     from sunarc.imager.settings.model import Settings  # with it come all packages
-
+    from sunarc.sources.source_files import SourceFile
 
 _log = logging.getLogger(__name__)
+_IN_A_ROW = 12
+"""Pictures of one other size without one of the camera's, from which the picture was resized."""
 
 
 def known_camera(archive: Archive, settings: Settings) -> CameraRecord | None:
@@ -89,3 +91,48 @@ def take_resized(archive: Archive, camera: CameraRecord, size: tuple[int, int], 
         },
     )
     archive.events.add(Event.of(resized, time=at, severity="warning", camera=camera.name))
+
+
+class _Picture(NamedTuple):
+    file: SourceFile
+    time: datetime
+
+
+class ResizedPictures:
+    """Pictures of one size that came one after the other and have not the camera's size.
+
+    Parameters
+    ----------
+    archive, camera : has the camera of this name.
+    """
+
+    def __init__(self, archive: Archive, camera: str) -> None:
+        self._archive, self._camera = archive, camera
+        self._size: tuple[int, int] | None = None
+        self._pictures: dict[str, _Picture] = {}
+
+    def clear(self) -> None:
+        """Forget them: a picture of the camera's size was used."""
+        self._size, self._pictures = None, {}
+
+    def note(self, file: SourceFile, time: datetime, size: tuple[int, int]) -> list[SourceFile]:
+        """Take note of a picture of another size (width, height), px.
+
+        Returns
+        -------
+        The files to be read again, where the camera has this size from now on; else nothing.
+        """
+        if size != self._size:
+            self._size, self._pictures = size, {}
+        self._pictures[file.name] = _Picture(file, time)
+        if len(self._pictures) < _IN_A_ROW:
+            return []
+        known = self._archive.cameras.get(self._camera)
+        newest = self._archive.sightings.find(self._camera, newest_first=True, limit=1)
+        begin = min(one.time for one in self._pictures.values())
+        files = [one.file for one in self._pictures.values()]
+        self.clear()
+        if known is None or (newest and newest[0].time >= begin):
+            return []  # pictures from before those of the camera
+        take_resized(self._archive, known, size, at=begin)
+        return files

@@ -25,10 +25,10 @@ from sunarc.imager.archive.seen_files import SeenFile
 from sunarc.imager.cameras.frame import Frame
 from sunarc.imager.cameras.options import WHOLE_SECONDS_S, FolderOptions
 from sunarc.imager.live import folder_files
+from sunarc.imager.live.camera_record import ResizedPictures
 from sunarc.imager.live.file_frames import make_file_frame
 from sunarc.imager.live.folder_conditions import DATED_AGAIN, FUTURE, AheadOfClock, ArrivalTimes, LeftOut, time_rules
 from sunarc.imager.live.live_images import LiveImage, LiveImages
-from sunarc.imager.live.resized_pictures import ResizedPictures
 from sunarc.imager.runtime.clock import Clock
 from sunarc.imager.runtime.loop import DropOldestQueue, Loop
 from sunarc.imager.runtime.status import CameraStatus, CaptureStatus, Reason, StatusRegistry, condition

@@ -18,8 +18,7 @@ from sunarc.imager.workers.capture_status import CaptureReport
 from sunarc.imager.workers.clock_watch import FrameTime
 from sunarc.imager.workers.cycles import Cycle, CycleConsistencyFilter
 from sunarc.imager.workers.exposures import ExposureSequence, SunExposures
-from sunarc.imager.workers.night.exposures import NightCapture
-from sunarc.imager.workers.night.gain import NightGain
+from sunarc.imager.workers.night.exposures import NightCapture, NightGain
 from sunarc.imager.workers.options import CaptureOptions
 from sunarc.sky.sun import DARK_ZENITH_DEG
 

@@ -12,8 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
+from sunarc.calibration.lens_library.first_pose import north_sigma_deg
 from sunarc.calibration.model.pose_change import PoseChange
-from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S
 from sunarc.calibration.quality.first_motion import FEWEST_IN_MOTION, site_contradiction
 from sunarc.changes.online import REMEMBERED, change_details, change_finding, update_window
@@ -35,12 +36,13 @@ from sunarc.imager.archive.values import (
 from sunarc.imager.runtime.loop import DropOldestQueue, turns
 from sunarc.imager.runtime.status import Reason, StatusRegistry, condition
 from sunarc.imager.workers.calibrating.moves import MoveConditions
-from sunarc.imager.workers.calibrating.pose_conditions import pose_condition, refused_condition, waiting_condition
 from sunarc.imager.workers.calibrating.provisional_pose import (
     FEWEST,
     ProvisionalPoseEstimator,
+    is_first_pose,
     is_provisional,
 )
+from sunarc.optics.mounting import top_azimuth_deg
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_directions
 
@@ -233,8 +235,8 @@ class WatchWorker:
             self._publish_pose()
             return
         n, refusal = self.reposer.count, self.reposer.refusal
-        self.board.set_condition("first_sun", waiting_condition(n, sighting.pixel) if n < FEWEST else None)
-        self.board.set_condition("first_pose_refused", None if refusal is None else refused_condition(refusal))
+        self.board.set_condition("first_sun", _waiting_condition(n, sighting.pixel) if n < FEWEST else None)
+        self.board.set_condition("first_pose_refused", None if refusal is None else _refused_condition(refusal))
 
     def _compare_with_site(self, sighting: Sighting) -> None:
         """Set or clear the conditions of a sun that goes otherwise than it does over the stated site."""
@@ -356,7 +358,7 @@ class WatchWorker:
         if not is_provisional(current):
             self._first.clear()
             self._show_contradiction(None)
-        reason = pose_condition(current)
+        reason = _pose_condition(current)
         for code in (*_POSE_CODES, "first_sun", "first_pose_refused"):
             self.board.set_condition(code, reason if reason is not None and reason.code == code else None)
 
@@ -412,3 +414,31 @@ def _sun(unix_s: float, site: Site) -> tuple[float, float, float]:
 
 def _future_epoch_reason(epoch: PoseEpoch) -> Reason:
     return condition(_FUTURE_EPOCH, pose_epoch=epoch.id, started_at=epoch.started_at.isoformat(timespec="seconds"))
+
+
+def _waiting_condition(n: int, pixel: tuple[float, float]) -> Reason:
+    """Return the condition of a first pose that waits for sightings: how many there are, and where the last one is."""
+    return condition("first_sun", n=n, least=FEWEST, x_px=pixel[0], y_px=pixel[1])
+
+
+def _pose_condition(current: Calibration) -> Reason | None:
+    """Return the condition of a pose that is provisional; None for that of a full fit."""
+    if current.sigma_limit_deg is not None:
+        return condition("provisional_calibration", limit_deg=current.sigma_limit_deg, n=current.evidence.n_used)
+    if not is_provisional(current):
+        return None
+    if not is_first_pose(current):
+        return condition("provisional_pose", n=current.evidence.n_used, sigma_deg=current.sky_rms_deg)
+    return condition(
+        "first_pose_provisional",
+        n=current.evidence.n_used,
+        sigma_deg=current.sky_rms_deg,
+        north_sigma_deg=north_sigma_deg(current),
+        top_azimuth_deg=top_azimuth_deg(current.camera),
+    )
+
+
+def _refused_condition(verdict: Verdict) -> Reason:
+    """Return the condition of a first pose that is refused."""
+    finding = verdict.findings[0]
+    return condition("first_pose_refused", reason=finding.text, remedy=finding.remedy)

@@ -1,7 +1,8 @@
-"""Exposure times of the night: those of the stars, and those of the moon."""
+"""Exposures of the night: times for the stars and for the moon, and the gain that is raised for a star exposure."""
 
 from __future__ import annotations
 
+import logging
 import math
 import threading
 from collections.abc import Callable
@@ -10,13 +11,17 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sunarc.common.errors import CameraError, CameraLostError
 from sunarc.detection.values import MOST_PEAK, Stars
-from sunarc.imager.cameras.frame import Frame
+from sunarc.imager.cameras.frame import Frame, GainCamera, SkyCamera
 from sunarc.imager.runtime.loop import DropOldestQueue
+from sunarc.imager.runtime.status import StatusRegistry, condition
 from sunarc.imaging.exposure import ExposureBounds
 from sunarc.sky.night import MoonDisc
 from sunarc.sky.site import relative_air_mass
 
+_log = logging.getLogger(__name__)
+GAIN_NOT_RESTORED = "gain_not_restored"
 LADDER_US = (10e6, 5e6, 2.5e6, 1.25e6, 0.6e6, 0.3e6)
 """In 10 s the sky turns by 0.4 px at 600 px a radian; 0.3 s is short enough for a full moon."""
 _FIRST = 1
@@ -168,3 +173,55 @@ class MoonExposures:
                 self._missed += 1
                 if self._missed >= _FORGOTTEN_AFTER:  # a filter or an aperture was changed
                     self._level_per_us, self._missed = None, 0
+
+
+class NightGain:
+    """Takes an exposure with a raised gain.
+
+    A frame of the day with the gain of the night would spoil its sightings. So the gain is restored and read back
+    before anything else is done with the camera; where it stays raised, the camera is let go, and after it was opened
+    again no slot is served before the gain is what the settings say.
+
+    Parameters
+    ----------
+    board : where the condition `gain_not_restored` is set.
+    """
+
+    def __init__(self, board: StatusRegistry) -> None:
+        self._board = board
+        self._raised = False
+
+    def take(self, camera: SkyCamera, raised_db: float, expose: Callable[[], Frame | None]) -> Frame | None:
+        """Return a frame with a gain raised by `raised_db`, or as it is where the camera has no gain to set.
+
+        Raises
+        ------
+        CameraLostError
+            The gain could not be restored.
+        """
+        if raised_db <= 0.0 or camera.info.gain_raise_db <= 0.0 or not isinstance(camera, GainCamera):
+            return expose()
+        self._raised = True
+        try:
+            camera.raise_gain(min(raised_db, camera.info.gain_raise_db))
+            return expose()
+        except CameraLostError:
+            raise
+        except CameraError as error:
+            _log.warning("the gain of the night was not set: %s", error)
+            return None
+        finally:
+            self.restore(camera)
+
+    def restore(self, camera: SkyCamera) -> None:
+        """Restore the gain where it was raised, and read it back; CameraLostError where it is another one."""
+        if not self._raised or not isinstance(camera, GainCamera):
+            return
+        try:
+            camera.restore_gain()
+        except CameraError as error:
+            reason = condition(GAIN_NOT_RESTORED, severity="not_ready", error=str(error))
+            self._board.set_condition(GAIN_NOT_RESTORED, reason)
+            raise CameraLostError(f"the gain of the night was not restored: {error}") from error
+        self._raised = False
+        self._board.set_condition(GAIN_NOT_RESTORED, None)
