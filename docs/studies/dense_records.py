@@ -61,7 +61,7 @@ def table(rng: np.random.Generator, place: world.Place, lens: world.Lens, count:
 
 
 def main() -> None:
-    """Print what one record comes to."""
+    """Print the result of one record."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sightings", type=int, default=1_000_000)
     parser.add_argument("--seed", type=int, default=1)

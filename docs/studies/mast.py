@@ -86,7 +86,7 @@ def drawn_mast(rng: np.random.Generator, share: float, cadence_s: float) -> Mast
 
 @dataclass(eq=False)
 class Service:
-    """What the service of a mast does: the calibration in use, refits by what came of them, and the days' ratios."""
+    """Service of a mast: the calibration in use, the outcomes of its refits, and the days' ratios."""
 
     site: Site
     served: Calibration | None = None
@@ -130,7 +130,7 @@ class Service:
 
 
 def lived(mast: Mast, every: int) -> Service:
-    """Return what the service came to."""
+    """Return the outcomes of the service."""
     place = mast.place
     service = Service(Site(latitude=place.latitude, longitude=place.longitude, altitude=place.altitude))
     n_clear, last = 0, 0

@@ -19,6 +19,7 @@ from sunarc.common.findings import Finding
 from sunarc.common.utc import DAY_S
 from sunarc.imaging.horizon import HorizonProfile
 from sunarc.imaging.obstructions import FREE, HIDDEN, UNKNOWN, CellGrid
+from sunarc.imaging.preview import decoded
 from sunarc.public.mask_files import horizon_csv, learn_mask, mask_png
 from sunarc.sources.image_files import read_one_image
 from sunarc.sources.look import PackedMask, pack_mask
@@ -61,11 +62,8 @@ class EpochObstructions(NamedTuple):
 
     def no_sky(self) -> PackedMask | None:
         """Return the parts of the image that show no sky; None where the mask is missing."""
-        png = self.files.get("png")
-        if png is None:
-            return None
-        mask = cv2.imdecode(np.frombuffer(png, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
-        return None if mask is None else pack_mask(np.asarray(mask) == HIDDEN)
+        mask = decoded(self.files.get("png", b""))
+        return None if mask is None else pack_mask(mask == HIDDEN)
 
 
 def select_epoch_images(looked: Looked, final: Final, size: tuple[int, int]) -> list[EpochImages]:

@@ -351,7 +351,7 @@ def by_true_times(camera: CameraImages, states: Sequence[State], epochs: Sequenc
 
 
 def without_frozen(looked: Looked, site: Site) -> Looked:
-    """Return what was found, suns that stand where one before them stood rejected as frozen, since the sun moved.
+    """Return the detections, each sun at the place of an earlier one rejected as frozen: the sun had moved.
 
     Parameters
     ----------

@@ -147,9 +147,10 @@ def _write_obstructions(target: Path, results: Sequence[CameraResult]) -> None:
             for ending, content in shown.files.items():
                 folder = target / ("masks" if ending == "png" else "horizons") / one.name
                 _write(folder / f"{one.epoch_name(number)}.{ending}", content)
-        for shown in sorted(one.obstructions, key=lambda shown: shown.missing is None):
-            if shown.picture:  # the newest one that is known
-                _write(target / f"horizon_{one.part}.png", shown.picture)
+        pictures = [shown.picture for shown in sorted(one.obstructions, key=lambda shown: shown.missing is None)]
+        newest = next(filter(None, reversed(pictures)), None)  # that is known, if one is
+        if newest is not None:
+            _write(target / f"horizon_{one.part}.png", newest)
 
 
 _NUMBERS_FOUND = ("x_px", "y_px", "sigma_px", "radius_px", "ellipticity", "peak_fraction", "background_fraction")

@@ -58,9 +58,9 @@ def first_by_stars(given: CameraNightImages) -> Rough:
     if not held:
         at_night = all_at_night(given.images, given.camera.site)
         return Rough(findings=(*found.refused[:1], at_night))
-    states = [found.states[number] for number in dict.fromkeys(number for _, number in held)]
-    number_of = {number: place for place, number in enumerate(dict.fromkeys(number for _, number in held))}
-    epochs = _epochs([(night, number_of[number]) for night, number in held], states)
+    numbers = list(dict.fromkeys(number for _, number in held))
+    states = [found.states[number] for number in numbers]
+    epochs = _epochs([(night, numbers.index(number)) for night, number in held], states)
     options = given.camera.options  # a hand that is not stated is the one that the stars show
     asked = given.camera._replace(options=replace(options, mirrored=options.mirrored or "auto"))
     return Rough(tuple(states), tuple(epochs), doubts(states[0].calibration, asked))

@@ -29,6 +29,7 @@ from sunarc.formats.exported import FAR_FUTURE, FAR_PAST, Exported, file_notes
 from sunarc.formats.matlab import matlab_bytes, read_variables
 from sunarc.formats.ocam import OcamModel, ocam_model, ocam_view
 from sunarc.formats.view import View, camera_view, compare
+from sunarc.imaging.preview import decoded
 
 _HORIZON_DEG = 90.0
 _NEEDED = ("ss", "xc", "yc", "c", "d", "e", "width", "height")
@@ -156,8 +157,7 @@ def mask_files(mask: NDArray[np.uint8], *, stem: str) -> dict[str, bytes]:
 def leave_out_obstructions(exported: Exported, hidden: BoolArray) -> Exported:
     """Return a camera file whose mask leaves out the pixels (height, width) that are hidden from the sky."""
     (name,) = (name for name in exported.beside if name.endswith(_MASK_PNG))
-    mask = cv2.imdecode(np.frombuffer(exported.beside[name], np.uint8), cv2.IMREAD_GRAYSCALE)
-    free = np.asarray((np.asarray(mask) > 0) & ~hidden).astype(np.uint8)
+    free = np.asarray((np.asarray(decoded(exported.beside[name])) > 0) & ~hidden).astype(np.uint8)
     return replace(exported, beside={**exported.beside, **mask_files(free, stem=name.removesuffix(_MASK_PNG))})
 
 

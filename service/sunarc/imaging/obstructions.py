@@ -423,6 +423,11 @@ class ObstructionMask:
         """Return (height, width): which pixels do not show the sky, dirt on the dome with them."""
         return np.asarray(np.isin(self.image(), (HIDDEN, SOILED)))
 
+    @property
+    def hidden_cells(self) -> BoolArray:
+        """(rows, columns) whether they do not show the sky, dirt on the dome with them."""
+        return np.asarray(np.isin(self.state, (HIDDEN, SOILED)))
+
     def hides(self, directions: FloatArray) -> BoolArray:
         """Return (...): which directions (..., 3), east-north-up, are surely behind an obstruction or dirt."""
         cells, seen = _find_cells(self.grid, directions.reshape(-1, 3))
@@ -483,7 +488,7 @@ class ComparedMasks(NamedTuple):
 def compared_masks(mask: ObstructionMask, drawn: BoolArray) -> ComparedMasks:
     """Return how a mask compares with a drawn one (height, width), over the sky whose state is known."""
     hides = cv2.resize(drawn.astype(np.float32), mask.grid.shape[::-1], interpolation=cv2.INTER_AREA) > 0.5
-    known, shown = mask.grid.sky & (mask.state != UNKNOWN), np.isin(mask.state, (HIDDEN, SOILED))
+    known, shown = mask.grid.sky & (mask.state != UNKNOWN), mask.hidden_cells
     area = np.where(known, mask.grid.area_deg2, 0.0)
     both, either = (float(area[one].sum()) for one in (shown & hides, shown | hides))
     missing, extra = (float(area[one].sum()) for one in (shown & ~hides, hides & ~shown))
@@ -522,7 +527,7 @@ def mask_changes(known: States, mask: ObstructionMask, *, least_deg2: float = 4.
             area = float(mask.grid.area_deg2[part].sum())
             if area >= least_deg2:
                 after[part] = now
-                east, north, up = mask.grid.directions[part].mean(axis=0).tolist()
+                east, north, up = mask.grid.basis[:3, part].mean(axis=1).tolist()
                 elevation = math.degrees(math.atan2(up, math.hypot(east, north)))
                 found.append(Change(appeared, math.degrees(math.atan2(east, north)) % 360.0, elevation, area))
     return sorted(found, key=lambda one: -one.area_deg2), after

@@ -186,11 +186,8 @@ def _seems_to_turn(view: _View, by_hour: FloatArray) -> bool:
     products = flat.T @ flat / _variance(view, rows[..., -1], root > 0.0)[0]
     information = products[:-1, :-1] + np.diag(np.r_[view.precision, np.ones(by_hour.shape[-1])])
     pull = products[:-1, -1] - np.r_[view.precision * view.at, np.zeros(by_hour.shape[-1])]
-    with_turns, without = (
-        0.5 * (pull[:k] @ np.linalg.solve(information[:k, :k], pull[:k]) - np.linalg.slogdet(information[:k, :k])[1])
-        for k in (len(pull), size)
-    )
-    return bool(with_turns - without > TURN_ASKED)
+    with_turns, without = (float(_evidence(information[:k, :k], pull[:k])[0]) for k in (len(pull), size))
+    return with_turns - without > TURN_ASKED
 
 
 def _by_picture(view: _View) -> FloatArray:
@@ -233,7 +230,7 @@ class _Steps:
     """Evidence of a step between two days, for every boundary, the camera's unknowns integrated out."""
 
     def __init__(self, daily: FloatArray, at: FloatArray, precision: FloatArray) -> None:
-        """Take the products (d, k, k) of each day, those with what is left over as the last column."""
+        """Take the products (d, k, k) of each day, those with the residuals as the last column."""
         self.size, self.precision = at.size, precision
         self.before, self.total = np.cumsum(daily, axis=0)[:-1], np.sum(daily, axis=0)
         self.pull = self.total[:-1, -1][: at.size] - precision * at
@@ -248,10 +245,10 @@ class _Steps:
         information[:, p:, :p] = information[:, :p, p:].swapaxes(1, 2)
         information[:, p:, p:] = self.before[:, columns[:, None], columns] + np.eye(q)
         pull[:, :p], pull[:, p:] = self.pull, self.before[:, columns, -1]
-        mean = np.linalg.solve(information, pull[..., None])[..., 0]
+        evidence, mean = _evidence(information, pull)
         found = np.zeros((k, len(self.total) - 1))
         found[:, np.concatenate([np.arange(p), columns])] = mean
-        return 0.5 * (np.sum(pull * mean, axis=1) - np.linalg.slogdet(information)[1]), found
+        return evidence, found
 
 
 def worst_day_roots(distance: FloatArray, seen: Sightings) -> FloatArray:
@@ -309,21 +306,29 @@ def _seem_to_sway(view: _View, in_run: BoolArray, turns: FloatArray) -> bool:
 
 
 def _variance(view: _View, left: FloatArray, counted: BoolArray) -> tuple[float, float]:
-    """Return the variance of what is left over (n, 2), larger where neighbours err alike, and by how much they do."""
+    """Return the variance of residuals (n, 2), larger where neighbours err alike, and the correlation of these."""
     rho, error = lag_one(left, counted, neighbours(view.seen.unix_s, view.seen.day))
     alike = (1.0 + rho) / (1.0 - rho) if rho > 2.0 * error else 1.0
     return max(float(np.mean(left[counted] ** 2)) * alike, _NEGLIGIBLE_PX**2), rho
 
 
+def _evidence(information: FloatArray, pull: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the log evidence (...) of linear unknowns but for a constant, and their most probable values (..., k).
+
+    `information` (..., k, k) and `pull` (..., k) are of the sightings and the unknowns' prior together.
+    """
+    mean = np.asarray(np.linalg.solve(information, pull[..., None])[..., 0])
+    return np.asarray(0.5 * (np.sum(pull * mean, axis=-1) - np.linalg.slogdet(information)[1])), mean
+
+
 def _most_probable(products: FloatArray, pulls: FloatArray) -> FloatArray:
     """Return unknowns (r, k) of unit prior variance by sums over their sightings."""
-    return np.asarray(np.linalg.solve(products + np.eye(pulls.shape[-1]), pulls[..., None])[..., 0])
+    return _evidence(products + np.eye(pulls.shape[-1]), pulls)[1]
 
 
 def _log_evidence(products: FloatArray, pulls: FloatArray) -> FloatArray:
     """Return the log evidence (r,) of such unknowns, against their being 0."""
-    gain = np.sum(pulls * _most_probable(products, pulls), axis=-1)
-    return np.asarray(0.5 * (gain - np.linalg.slogdet(products + np.eye(pulls.shape[-1]))[1]))
+    return _evidence(products + np.eye(pulls.shape[-1]), pulls)[0]
 
 
 POSSIBLE = frozenset({"night_offset", "night_pose", "air", "outwards", "grid", "clock"})

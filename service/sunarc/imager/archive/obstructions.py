@@ -26,8 +26,6 @@ from sunarc.imager.archive.images import write_atomically
 from sunarc.imager.archive.pictures_of_one_time import ELSEWHERE
 from sunarc.imaging.horizon import HorizonProfile, find_obstructions
 from sunarc.imaging.obstructions import (
-    HIDDEN,
-    SOILED,
     CellGrid,
     Change,
     ObstructionMask,
@@ -66,7 +64,7 @@ class LearnedObstructions(NamedTuple):
     def hidden_share(self) -> float:
         """Share of the sky that is hidden, dirt on the dome with it."""
         area = self.mask.grid.area_deg2
-        return float(area[np.isin(self.mask.state, (HIDDEN, SOILED))].sum() / area.sum())
+        return float(area[self.mask.hidden_cells].sum() / area.sum())
 
 
 class ObstructionLearner:

@@ -1,4 +1,4 @@
-"""What hides the sky in a camera's images: a drawn mask, else the learned one."""
+"""Hidden sky in a camera's images: by a drawn mask, else by the learned one."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def learned_mask(context: ApiContext, record: CalibrationRecord) -> LearnedObstr
 
 
 def obstructions_key(context: ApiContext, record: CalibrationRecord) -> str:
-    """Return a text that changes with what `hidden_by_obstructions` returns; empty where that is None."""
+    """Return a text that identifies the mask of `hidden_by_obstructions`; empty without a mask."""
     if record.camera != context.camera:
         return ""
     path, learned = context.options.obstruction_mask, learned_mask(context, record)
