@@ -182,8 +182,8 @@ def test_only_the_folders_of_the_dates_asked_for_are_read(store: ImageStore) -> 
         folder = store.folder / "2012" / f"{month:02d}" / "01"
         folder.mkdir(parents=True)
     read: list[Path] = []
-    days = list(store._days(TIMES[0], TIMES[1]))
+    days = list(store._list_day_folders(TIMES[0], TIMES[1]))
     read += days
     assert [folder.name for folder in read] == ["13"]
-    assert len(list(store._days(None, None))) == 6
+    assert len(list(store._list_day_folders(None, None))) == 6
     assert store.between(kind="hdr.png", limit=2) == store.between(kind="hdr.png", limit=9)[:2]

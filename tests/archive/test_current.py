@@ -29,7 +29,7 @@ def test_the_current_calibration_is_read_again_only_after_a_write(
 ) -> None:
     serve(archive, "a", 0)
     first = archive.calibrations.current("roof")
-    monkeypatch.setattr(archive.calibrations, "_answering", None)
+    monkeypatch.setattr(archive.calibrations, "_find_answering", None)
     assert archive.calibrations.current("roof") is first
     monkeypatch.undo()
     serve(archive, "b", 1)

@@ -123,14 +123,14 @@ def test_of_a_day_with_too_many_rows_the_largest_kinds_are_left_out(
     imager: HubArchive, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     read = list[str]()
-    digest = digests_module._digest
+    digest = digests_module._compute_day_digest
 
     def counting(connection: Connection, kind: str, camera: str, day: date) -> DayDigest:
         read.append(kind)
         return digest(connection, kind, camera, day)
 
     monkeypatch.setattr(digests_module, "MOST_ROWS", 10)
-    monkeypatch.setattr(digests_module, "_digest", counting)
+    monkeypatch.setattr(digests_module, "_compute_day_digest", counting)
     imager.sightings.add(sighting(n) for n in range(8))
     for n in range(7):
         imager.events.add(Event(time=NOON, kind=f"start{n}", severity="info", text="begun"))

@@ -235,7 +235,7 @@ def test_an_opening_that_fails_half_way_lets_go(
 ) -> None:
     camera = stub.Camera()
     camera.fails[step] = stub.GLibError("refused", 1)
-    monkeypatch.setattr(adapter, "_library", camera.library)
+    monkeypatch.setattr(adapter, "_import_aravis", camera.library)
     with pytest.raises(CameraError, match="refused") as caught:
         open_aravis(AravisOptions(address="127.0.0.9"), VirtualClock(NOON))
     assert camera.device.handlers == {}

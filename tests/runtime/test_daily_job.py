@@ -137,7 +137,7 @@ def test_a_blocked_job_does_not_hold_up_the_stop(make_schedule: MakeSchedule) ->
 
 def test_nothing_is_called_after_the_stop(make_schedule: MakeSchedule) -> None:
     schedule = make_schedule(lambda: pytest.fail("called"), NEVER_S)
-    schedule._call()  # a call that stood in the queue when the schedule was stopped
+    schedule._run_job()  # a call that stood in the queue when the schedule was stopped
 
 
 class SteppedClock(SystemClock):

@@ -96,21 +96,21 @@ def survey(settings: Settings, *, clock: Clock) -> Iterator[CheckResult]:
         yield CheckResult("camera", "fail", str(error))
         return
     with closing(camera):
-        yield _identity(camera)
+        yield _check_identity(camera)
         if isinstance(camera, AravisCamera):
             yield from (CheckResult(what, "ok", text) for what, text in camera.abilities())
-            yield from _stream(camera)
+            yield from _check_stream(camera)
         yield check_exposures(camera, settings.capture.hdr_exposures_us)
         yield check_frames(camera, settings.capture.hdr_exposures_us)
 
 
-def _identity(camera: SkyCamera) -> CheckResult:
+def _check_identity(camera: SkyCamera) -> CheckResult:
     info = camera.info
     text = f"{info.vendor} {info.model} ({info.serial or 'no serial number'}) at {info.address}"
     return CheckResult("camera", "ok", f"{text}: {info.width}x{info.height} px in {info.pixel_format} will be used")
 
 
-def _stream(camera: AravisCamera) -> Iterator[CheckResult]:
+def _check_stream(camera: AravisCamera) -> Iterator[CheckResult]:
     if camera.link is not None:
         yield CheckResult("stream", "ok", camera.link.text)
         yield from (CheckResult("stream", "warn", text) for text in camera.link.complaints)
@@ -163,32 +163,34 @@ _RECEIVER_S = 12.0
 
 def run_checks(settings: Settings, *, clock: Clock) -> Iterator[CheckResult]:
     """Run all checks; the results are the output of `sunarc check`."""
-    running = _running(settings)
+    running = _ask_running_service(settings)
     yield CheckResult("settings", "ok", f"camera {settings.name!r}, state in {settings.state}")
-    yield _run_check("versions", _versions)
+    yield _run_check("versions", _check_versions)
     with as_owner(settings.state):
-        yield _run_check("state folder", lambda: _state(settings))
-        yield _run_check("database", lambda: _database(settings))
-        yield _run_check("backups", lambda: _backups(settings, clock))
-    yield _run_check("port", lambda: _port(settings, running))
+        yield _run_check("state folder", lambda: _check_state_folder(settings))
+        yield _run_check("database", lambda: _check_database(settings))
+        yield _run_check("backups", lambda: _check_backups(settings, clock))
+    yield _run_check("port", lambda: _check_port(settings, running))
     yield _run_check("clock", check_clock)
     with as_owner(settings.state):
-        yield from _optional(settings, clock)
+        yield from _check_optional_parts(settings, clock)
     if settings.source == "folder" and settings.folder is not None:
         with as_owner(settings.state):
-            yield from (CheckResult(*tried[:3]) for tried in _pictures(settings.folder, settings.place, None))
+            yield from (CheckResult(*tried[:3]) for tried in _try_pictures(settings.folder, settings.place, None))
     elif settings.source in {"http", "rtsp"}:
         with as_owner(settings.state):
-            yield _run_check(f"picture at {settings.source}.url", lambda: _snapshot(settings, None)[:2])
+            yield _run_check(f"picture at {settings.source}.url", lambda: _try_snapshot(settings, None)[:2])
     else:
-        yield _run_check("camera", lambda: _camera(settings, clock) if running is None else _camera_in_use(running))
+        yield _run_check(
+            "camera", lambda: _check_camera(settings, clock) if running is None else _check_camera_in_use(running)
+        )
 
 
 def run_camera_checks(settings: Settings, *, clock: Clock) -> Iterator[CheckResult]:
     """Run the checks of the camera alone; the results are the output of `sunarc check --camera`."""
-    running = _running(settings)
+    running = _ask_running_service(settings)
     if running is not None:
-        outcome, text = _camera_in_use(running)
+        outcome, text = _check_camera_in_use(running)
         yield CheckResult("camera", outcome, f"{text}; stop the service to look closer")
         return
     yield from survey(settings, clock=clock)
@@ -228,23 +230,23 @@ def try_first(settings: Settings, *, addresses: Sequence[str], picture: Path) ->
     """
     clock = SystemClock()
     if settings.source == "aravis":
-        yield from (TriedResult(*result) for result in _cameras_that_answer(settings, addresses, clock))
+        yield from (TriedResult(*result) for result in _check_camera_addresses(settings, addresses, clock))
     elif settings.folder is not None and settings.source == "folder":
-        yield from _pictures(settings.folder, settings.place, picture)
+        yield from _try_pictures(settings.folder, settings.place, picture)
     elif settings.source in {"http", "rtsp"}:
         codes: list[str] = []
 
         def try_it() -> tuple[Outcome, str]:
-            outcome, text, code = _snapshot(settings, picture)
+            outcome, text, code = _try_snapshot(settings, picture)
             codes.extend([code] if code else [])
             return outcome, text
 
         yield TriedResult(*_run_check(f"picture at {settings.source}.url", try_it), codes=tuple(codes))
     yield TriedResult(*_run_check("clock", check_clock))
-    yield TriedResult(*_run_check("disk", lambda: _room_for(settings.state)))
+    yield TriedResult(*_run_check("disk", lambda: _check_room(settings.state)))
 
 
-def _cameras_that_answer(settings: Settings, addresses: Sequence[str], clock: Clock) -> Iterator[CheckResult]:
+def _check_camera_addresses(settings: Settings, addresses: Sequence[str], clock: Clock) -> Iterator[CheckResult]:
     """Ask each address in turn; the settings' camera has to answer, of others it is said."""
     options = settings.camera
     if options is None:
@@ -257,11 +259,11 @@ def _cameras_that_answer(settings: Settings, addresses: Sequence[str], clock: Cl
 
 def _identify_camera(options: AravisOptions, clock: Clock) -> tuple[Outcome, str]:
     with closing(open_aravis(options, clock)) as camera:
-        found = _identity(camera)
+        found = _check_identity(camera)
     return found.outcome, found.text
 
 
-def _pictures(options: FolderOptions, site: Site, picture: Path | None) -> Iterator[TriedResult]:
+def _try_pictures(options: FolderOptions, site: Site, picture: Path | None) -> Iterator[TriedResult]:
     """Look at pictures of a folder: whether they can be read, when they were taken, where the sun is in them."""
     if options.path.exists() and not os.access(options.path, os.R_OK | os.X_OK, effective_ids=True):
         text = f"{options.path} is not for this user; let the service's user read it, with all that is in it"
@@ -288,19 +290,19 @@ def _pictures(options: FolderOptions, site: Site, picture: Path | None) -> Itera
     tried = list(try_pictures(source, names, rules, most=_PICTURES, on_image=show))
     if not tried:
         finding = Finding("folder_without_images", {"path": str(options.path)})
-        yield TriedResult("folder", "warn", _sentence(finding), (finding.code,))
+        yield TriedResult("folder", "warn", _make_sentence(finding), (finding.code,))
         return
-    yield _picture_result(tried[0], len(names), picture)
+    yield _make_picture_result(tried[0], len(names), picture)
     yield from (TriedResult("small picture", "warn", text) for text in unwritten)
     faults = {fault.code: one for one in tried[1:] for fault in one.faults}
     for code in faults.keys() - {fault.code for fault in tried[0].faults}:
         yield TriedResult("picture", "warn", f"{faults[code].name}: {faults[code].describe()}", (code,))
     judged = judge_site(tried, site)
     good = judged.code == "site_agrees"
-    yield TriedResult("site", "ok" if good else "warn", _sentence(judged), (judged.code,))
+    yield TriedResult("site", "ok" if good else "warn", _make_sentence(judged), (judged.code,))
 
 
-def _snapshot(settings: Settings, shown: Path | None) -> tuple[Outcome, str, str]:
+def _try_snapshot(settings: Settings, shown: Path | None) -> tuple[Outcome, str, str]:
     """Ask a camera for its picture as the service does; return the code of the fault, too."""
     options = settings.rtsp if settings.source == "rtsp" else settings.http
     if options is None:
@@ -320,7 +322,7 @@ def _snapshot(settings: Settings, shown: Path | None) -> tuple[Outcome, str, str
         _write_small(shown, image, tried)
     judged = judge_site([tried], settings.place)
     if judged.code == "site_sun_down":
-        return "warn", f"{tried.describe()}; {_sentence(judged)}", judged.code
+        return "warn", f"{tried.describe()}; {_make_sentence(judged)}", judged.code
     return "ok", tried.describe() + ("" if shown is None else f"; see {shown}"), ""
 
 
@@ -329,19 +331,19 @@ def _write_small(target: Path, image: Image, tried: TriedPicture) -> None:
         target.write_bytes(small_picture(image, tried.found))
 
 
-def _picture_result(tried: TriedPicture, files: int, picture: Path | None) -> TriedResult:
+def _make_picture_result(tried: TriedPicture, files: int, picture: Path | None) -> TriedResult:
     shown = "" if tried.size is None or picture is None else f"; see {picture}"
     codes = tuple(fault.code for fault in tried.faults)
     text = f"{tried.name}, one of {files}: {tried.describe()}{shown}"
     return TriedResult("picture", "fail" if codes else "ok", text, codes)
 
 
-def _sentence(finding: Finding) -> str:
+def _make_sentence(finding: Finding) -> str:
     remedy = finding.remedy
     return finding.text + ("" if remedy == "none" else f"; {remedy}") + f" [{finding.code}]"
 
 
-def _room_for(state: Path) -> tuple[Outcome, str]:
+def _check_room(state: Path) -> tuple[Outcome, str]:
     """Return how much room there is where the state folder is, or will be."""
     there = next(folder for folder in (state, *state.absolute().parents) if folder.exists())
     free = shutil.disk_usage(there).free
@@ -349,47 +351,52 @@ def _room_for(state: Path) -> tuple[Outcome, str]:
     return ("ok", text) if free > _LEAST_FREE_BYTES else ("warn", f"only {text}; free some space, or give --state")
 
 
-def _optional(settings: Settings, clock: Clock) -> Iterator[CheckResult]:
+def _check_optional_parts(settings: Settings, clock: Clock) -> Iterator[CheckResult]:
     """Try the parts that the settings enable, as `serve` does; disabled parts give no result."""
     access = load_credentials(settings.api)
     for name, path in (("token_file", access.token_file), ("read_token_file", access.read_token_file)):
         if path is not None:
-            yield _run_check(f"api.{name}", partial(_token, path, f"api.{name}"))
+            yield _run_check(f"api.{name}", partial(_check_token, path, f"api.{name}"))
     if settings.first_pose.lens_prior is not None:
-        yield _run_check("lens prior", lambda: _done(FirstPose.of(settings.first_pose), "read"))
+        yield _run_check("lens prior", lambda: _report_ok(FirstPose.of(settings.first_pose), "read"))
     if settings.night.enabled:
-        yield _run_check("night", lambda: _done(night_capture(settings.night, lambda _: settings.place), "possible"))
+        yield _run_check(
+            "night", lambda: _report_ok(night_capture(settings.night, lambda _: settings.place), "possible")
+        )
     if settings.hub.url is not None:
-        yield _run_check("hub", lambda: _hub(settings))
+        yield _run_check("hub", lambda: _check_hub(settings))
     for sink in receivers(settings.push, states=dict, clock=clock, client=settings.name):
-        yield _run_check(sink.name, partial(_receiver, sink))
+        yield _run_check(sink.name, partial(_check_receiver, sink))
 
 
-def _done(_result: object, text: str) -> tuple[Outcome, str]:
+def _report_ok(_result: object, text: str) -> tuple[Outcome, str]:
     return "ok", text
 
 
-def _token(path: Path, setting: str) -> tuple[Outcome, str]:
-    return _done(read_token(path, setting=setting), "read")
+def _check_token(path: Path, setting: str) -> tuple[Outcome, str]:
+    return _report_ok(read_token(path, setting=setting), "read")
 
 
-def _receiver(sink: Sink) -> tuple[Outcome, str]:
+def _check_receiver(sink: Sink) -> tuple[Outcome, str]:
     try:
-        _within(sink.probe)
+        _call_with_limit(sink.probe)
     except errors.OutsideError as error:
         return "warn", f"{error}; messages wait until it answers; check its address in the settings, and the network"
     return "ok", "it takes the connection"
 
 
-def _hub(settings: Settings) -> tuple[Outcome, str]:
+def _check_hub(settings: Settings) -> tuple[Outcome, str]:
     """Send no rows to the hub, with the token, as the service does; before its first start only connect."""
-    connection, position = HubConnection(settings.hub, camera=settings.name, clock=SystemClock()), _outbox(settings)
+    connection, position = (
+        HubConnection(settings.hub, camera=settings.name, clock=SystemClock()),
+        _read_outbox_position(settings),
+    )
     try:
         if position is None:
-            _within(partial(_connect, str(settings.hub.url)))
+            _call_with_limit(partial(_try_connection, str(settings.hub.url)))
             return "ok", "it takes the connection; the token is tried at the first start"
         # After -1: the hub answers where it stands, and stores nothing.
-        _within(lambda: connection.send(replace(position, committed=-1), [], lambda: None))
+        _call_with_limit(lambda: connection.send(replace(position, committed=-1), [], lambda: None))
     except HubRefusal as refusal:
         raise errors.ConfigurationError(f"the hub refuses with {refusal.status}: {refusal}") from None
     except errors.OutsideError as error:
@@ -397,14 +404,14 @@ def _hub(settings: Settings) -> tuple[Outcome, str]:
     return "ok", "it takes the token"
 
 
-def _outbox(settings: Settings) -> OutboxPosition | None:
+def _read_outbox_position(settings: Settings) -> OutboxPosition | None:
     if settings.store is None and not (settings.database.exists() and settings.database.stat().st_size):
         return None
     with open_archive(settings.archive) as archive:
         return archive.outbox.position() if archive.outbox.enabled() else None
 
 
-def _connect(url: str) -> None:
+def _try_connection(url: str) -> None:
     parts = urllib.parse.urlsplit(url)
     try:
         port = parts.port or (443 if parts.scheme == "https" else 80)
@@ -413,7 +420,7 @@ def _connect(url: str) -> None:
         raise errors.OutsideError(f"{parts.hostname}: {error}") from error
 
 
-def _within(call: Callable[[], object]) -> None:
+def _call_with_limit(call: Callable[[], object]) -> None:
     """Call something that waits for another host, for a limited time: a resolver may take a minute."""
     ended: list[BaseException | None] = []
 
@@ -444,14 +451,14 @@ def _run_check(what: str, check_it: Callable[[], tuple[Outcome, str]]) -> CheckR
     return CheckResult(what, outcome, text)
 
 
-def _state(settings: Settings) -> tuple[Outcome, str]:
+def _check_state_folder(settings: Settings) -> tuple[Outcome, str]:
     prepare_state(settings.state)
     free = shutil.disk_usage(settings.state).free
     text = f"{free / 1e9:.1f} GB free"
     return ("ok", text) if free > _LEAST_FREE_BYTES else ("warn", f"only {text}; free some space")
 
 
-def _answering(archive: Archive, camera: str, kept: str) -> tuple[Outcome, str]:
+def _check_tables(archive: Archive, camera: str, kept: str) -> tuple[Outcome, str]:
     """Return the tables of a database that answer, and that a provisional calibration is served from it."""
     current = archive.calibrations.current_model(camera)
     if current is None or current.sigma_limit_deg is None:
@@ -462,7 +469,7 @@ def _answering(archive: Archive, camera: str, kept: str) -> tuple[Outcome, str]:
     )
 
 
-def _database(settings: Settings) -> tuple[Outcome, str]:
+def _check_database(settings: Settings) -> tuple[Outcome, str]:
     if settings.store is not None:
         with open_archive(settings.archive) as archive:
             require_stored_site(archive, settings)
@@ -476,7 +483,7 @@ def _database(settings: Settings) -> tuple[Outcome, str]:
     if found.sound:
         with open_archive(settings.database) as archive:
             require_stored_site(archive, settings)
-            return _answering(
+            return _check_tables(
                 archive, settings.name, f"revision {found.revision}, {found.rows.get('sun_point', 0)} sightings"
             )
     if found.revision != found.head:
@@ -487,7 +494,7 @@ def _database(settings: Settings) -> tuple[Outcome, str]:
     return "fail", f"damaged: {what}; stop the service, then sunarc db restore --latest --state {settings.state}"
 
 
-def _backups(settings: Settings, clock: Clock) -> tuple[Outcome, str]:
+def _check_backups(settings: Settings, clock: Clock) -> tuple[Outcome, str]:
     if settings.store is not None:
         return "ok", "those of PostgreSQL are its administrator's (pg_dump, see docs/fleet.md)"
     copies = sorted(settings.backups.glob("sunarc-*.sqlite"))
@@ -499,12 +506,12 @@ def _backups(settings: Settings, clock: Clock) -> tuple[Outcome, str]:
     return ("ok", text) if recent else ("warn", f"{text}; see systemctl status sunarc-backup.timer")
 
 
-def _versions() -> tuple[Outcome, str]:
+def _check_versions() -> tuple[Outcome, str]:
     python = ".".join(str(part) for part in sys.version_info[:3])
     return "ok", f"sunarc {sunarc.__version__}, Python {python}, numpy {version('numpy')}"
 
 
-def _running(settings: Settings) -> dict[str, Any] | None:
+def _ask_running_service(settings: Settings) -> dict[str, Any] | None:
     """Return the status of the service that runs with these settings; None when none answers."""
     host = f"[{settings.api.host}]" if ":" in settings.api.host else settings.api.host
     url = urllib.parse.urlsplit(f"http://{host}:{settings.api.port}/v1/status")
@@ -518,14 +525,14 @@ def _running(settings: Settings) -> dict[str, Any] | None:
     return status if isinstance(status, dict) and status.get("camera_name") == settings.name else None
 
 
-def _port(settings: Settings, running: Mapping[str, Any] | None) -> tuple[Outcome, str]:
+def _check_port(settings: Settings, running: Mapping[str, Any] | None) -> tuple[Outcome, str]:
     if running is not None:
         return "ok", f"{settings.api.port} at {settings.api.host}: the service answers, {running['health']}"
     listen(settings.api.host, settings.api.port).close()
     return "ok", f"{settings.api.port} at {settings.api.host} is free"
 
 
-def _camera_in_use(running: Mapping[str, Any]) -> tuple[Outcome, str]:
+def _check_camera_in_use(running: Mapping[str, Any]) -> tuple[Outcome, str]:
     camera = running.get("camera") or {}
     if camera.get("connected"):
         return "ok", f"the running service holds {camera['model']} at {camera['address']}"
@@ -542,7 +549,7 @@ def check_clock() -> tuple[Outcome, str]:
     return ("ok", text) if state.error_bound_s < _LARGEST_CLOCK_ERROR_S else ("warn", f"{text}; wait for it to settle")
 
 
-def _camera(settings: Settings, clock: Clock) -> tuple[Outcome, str]:
+def _check_camera(settings: Settings, clock: Clock) -> tuple[Outcome, str]:
     with closing(camera_opener(settings, clock)()) as camera:
         info = camera.info
         frame = camera.expose(

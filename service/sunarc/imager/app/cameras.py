@@ -28,14 +28,14 @@ def camera_opener(settings: Settings, clock: Clock) -> Callable[[], SkyCamera]:
     if settings.source == "replay" and replay is not None:
         return lambda: open_replay(replay)
     if settings.source in {"folder", "http", "rtsp"} and getattr(settings, settings.source) is not None:
-        return _no_camera
+        return _refuse_opening
     section = "camera" if settings.source == "aravis" else settings.source
     raise ConfigurationError(
         f'setting {section} is missing; add a [{section}] section for source = "{settings.source}"'
     )
 
 
-def _no_camera() -> SkyCamera:
+def _refuse_opening() -> SkyCamera:
     raise ConfigurationError("images that others have taken come from no camera")
 
 

@@ -48,7 +48,7 @@ def push_workers(
     return (
         Supervised(name="notices", make_worker=lambda: notices, optional=True),
         *(
-            Supervised(name=f"push_{sink.name}", make_worker=partial(_same, worker), optional=True)
+            Supervised(name=f"push_{sink.name}", make_worker=partial(_return_worker, worker), optional=True)
             for sink, worker in zip(sinks, workers, strict=True)
         ),
     )
@@ -64,7 +64,7 @@ def receivers(
     return sinks
 
 
-def _same(worker: PushWorker) -> PushWorker:
+def _return_worker(worker: PushWorker) -> PushWorker:
     return worker
 
 

@@ -208,7 +208,7 @@ class Service:
             waiting=self._waiting_days,
             hidden=self.obstructions.hides_sun,
         )
-        self.cadence = self._cadence()
+        self.cadence = self._new_learned_cadence()
         self.folder, self.folder_archive = self._followed_folder()
         self.snapshots = self._snapshot_worker()
         self._open_camera = open_camera
@@ -236,7 +236,7 @@ class Service:
         """Return whether times of frames go on as the host's do; a replay's, a folder's and a simulation's jump."""
         return self.settings.source not in {"replay", "folder"} and self.settings.capture.speed == 1.0
 
-    def _cadence(self) -> LearnedCadence:
+    def _new_learned_cadence(self) -> LearnedCadence:
         folder = self.settings.folder if self.settings.source == "folder" else None
         return LearnedCadence(self.camera, self.settings.capture.cadence_s if folder is None else folder.cadence_s)
 

@@ -132,9 +132,9 @@ def _serve_at(listening: socket.socket, settings: Settings, folder_analysis: Fol
     recording = imager_recording(service)
     notifier = notifier_from(os.environ)
     status = StatusLine(
-        notifier, snapshot=service.board.snapshot, address=_address(settings), monotonic=clock.monotonic
+        notifier, snapshot=service.board.snapshot, address=_service_url(settings), monotonic=clock.monotonic
     )
-    server = _web_server(service, on_started=status.ready)
+    server = _new_web_server(service, on_started=status.ready)
     schedule = daily_schedule(service)
     first_frame = FirstFrame(service.board)
     stop_on_signals(server)
@@ -186,7 +186,7 @@ def _make_room(settings: Settings) -> None:
     Reserve(settings.reserve, size_bytes=int(settings.disk.reserve_mb * 1e6)).balance(images.usage().free_bytes)
 
 
-def _web_server(service: Service, *, on_started: Callable[[], None]) -> Server:
+def _new_web_server(service: Service, *, on_started: Callable[[], None]) -> Server:
     options = load_credentials(service.settings.api)
     app = create_app(
         archive=service.archive,
@@ -260,7 +260,7 @@ class Server(uvicorn.Server):
         return await super().on_tick(counter)
 
 
-def _address(settings: Settings) -> str:
+def _service_url(settings: Settings) -> str:
     return f"http://{settings.api.host}:{settings.api.port}/"
 
 

@@ -60,7 +60,7 @@ class StatusLine:
 
     def ready(self) -> None:
         """Report that the service is up."""
-        self._note(self.text())
+        self._note_sent_text(self.text())
         self.notifier.ready(self._sent)
 
     def update(self) -> None:
@@ -69,7 +69,7 @@ class StatusLine:
             return
         text = self.text()
         if text != self._sent:
-            self._note(text)
+            self._note_sent_text(text)
             self.notifier.status(text)
 
     def text(self) -> str:
@@ -87,5 +87,5 @@ class StatusLine:
             parts.append(f"conditions: {', '.join(codes[:_MOST_CODES])}{more}")
         return "; ".join(parts)
 
-    def _note(self, text: str) -> None:
+    def _note_sent_text(self, text: str) -> None:
         self._sent, self._sent_at_s = text, self.monotonic()

@@ -48,7 +48,7 @@ class Archive:
 
     def __init__(self, engine: Engine, file: connections.DatabaseFile | None) -> None:
         database = self.database = Database(engine, file)
-        self._witness = None if file is None else _reader(file)
+        self._witness = None if file is None else _hold_files_open(file)
         self.cameras = CameraStore(database)
         self.epochs = EpochStore(database)
         self.sightings = SightingStore(database)
@@ -100,7 +100,7 @@ class Archive:
         with self.database.suspend_use():
             done = rebuild(file.path, witness, problem=problem, now=now, close=self.close)
             file.remember()
-            self._witness = _reader(file)
+            self._witness = _hold_files_open(file)
         for camera in self.cameras.saved():
             self.cameras.save(camera)  # a new database, or an old copy, may not have it
         return done
@@ -160,7 +160,7 @@ def _open_on_server(kind: type[Opened], url: URL, *, command: str) -> Opened:
         raise
 
 
-def _reader(file: connections.DatabaseFile) -> sqlite3.Connection:
+def _hold_files_open(file: connections.DatabaseFile) -> sqlite3.Connection:
     """Return a connection that keeps the database and its write-ahead log open, so that they outlive their names."""
     try:
         connection = file.connect()

@@ -52,7 +52,7 @@ class Documents:
         document = self.get(connection, row["id"])
         values = {name: value for name, value in row.items() if name != "document_sha256"}
         if document is None or any(document.get(name) != row[name] for name in _SAME) or None in _times(row):
-            return _damaged(values)
+            return _make_damaged_record(values)
         return CalibrationRecord(**values, document=document)
 
 
@@ -87,7 +87,7 @@ def _times(row: RowMapping) -> tuple[object, ...]:
     return row["created_at"], row["valid_from"], row["state"]
 
 
-def _damaged(values: dict[str, Any]) -> CalibrationRecord:
+def _make_damaged_record(values: dict[str, Any]) -> CalibrationRecord:
     """Return a record of the rest of a damaged calibration, with a document that no fit can use."""
     shown = {
         **values,

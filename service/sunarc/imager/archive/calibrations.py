@@ -73,7 +73,7 @@ class CalibrationStore(Part):
         parent : the id of the calibration that it was compared with, or copied from.
         used : the sightings that it was given, in the order of time; None where the archive does not have them.
         """
-        record = _record(document, parent)
+        record = _make_record(document, parent)
         with self._database.writing() as connection:
             if self._exists(connection, record.id):
                 raise wrong_state(record.id, "is there already", remedy="give it an id of its own")
@@ -103,7 +103,7 @@ class CalibrationStore(Part):
                     f"is {record.state} and has its place in the history",
                     remedy="activate a copy of it with its own id",
                 )
-            pinned = self._records(connection, calibration.c.camera == record.camera, calibration.c.pinned)
+            pinned = self._read_records(connection, calibration.c.camera == record.camera, calibration.c.pinned)
             if any(not one.damaged for one in pinned):
                 return apply_row_interval(record)
             start = at or record.valid_from
@@ -123,7 +123,7 @@ class CalibrationStore(Part):
         answered = (c.valid_from < record.created_at, or_(c.valid_until.is_(None), c.valid_until > start))
         before = [
             one
-            for one in self._records(connection, c.camera == record.camera, c.state.in_(SERVED), *answered)
+            for one in self._read_records(connection, c.camera == record.camera, c.state.in_(SERVED), *answered)
             if one.pose_epoch != record.pose_epoch or (PROVISIONAL in one.id and PROVISIONAL not in record.id)
         ]
         if not before or start >= record.created_at:
@@ -154,7 +154,7 @@ class CalibrationStore(Part):
             around = (c.valid_from < since, or_(c.valid_until.is_(None), c.valid_until > until))
             pinned = (c.pinned, c.valid_from < until)
             blocking = or_(and_(*around), and_(*pinned))
-            if self._records(connection, c.camera == record.camera, c.state.in_(SERVED), blocking):
+            if self._read_records(connection, c.camera == record.camera, c.state.in_(SERVED), blocking):
                 return apply_row_interval(record)
             clear_interval(connection, record.camera, since, until)
             set_columns(connection, calibration_id, state="retired", valid_from=since, valid_until=until)
@@ -164,7 +164,7 @@ class CalibrationStore(Part):
         """End the current calibration with nothing in its place."""
         with self._database.writing() as connection:
             record = self._require_record(connection, calibration_id)
-            answering = self._answering(connection, record.camera, None)
+            answering = self._find_answering(connection, record.camera, None)
             if answering is None or answering.id != calibration_id:
                 raise wrong_state(calibration_id, f"is {record.state}", remedy="retire the current one")
             end_others(connection, record.camera, at)
@@ -197,7 +197,7 @@ class CalibrationStore(Part):
 
     def _read_answering(self, camera: str, at: datetime | None) -> CalibrationRecord | None:
         with self._database.reading() as connection:
-            found = self._answering(connection, camera, at)
+            found = self._find_answering(connection, camera, at)
         return None if found is None else apply_row_interval(found)
 
     def current_model(self, camera: str) -> Calibration | None:
@@ -227,36 +227,38 @@ class CalibrationStore(Part):
         """Return the id of the current calibration of a camera when it is damaged, read from the database anew."""
         c = calibration.c
         with self._database.reading() as connection:
-            found = self._records(connection, c.camera == camera, c.state == "current")
+            found = self._read_records(connection, c.camera == camera, c.state == "current")
             if not found or not (found[0].damaged or read_document(connection, found[0].id) is None):
                 return None
             return found[0].id
 
-    def _answering(self, connection: Connection, camera: str, at: datetime | None) -> CalibrationRecord | None:
+    def _find_answering(self, connection: Connection, camera: str, at: datetime | None) -> CalibrationRecord | None:
         c = calibration.c
         filters = [c.camera == camera]
         if at is None:
             filters.append(c.state == "current")
         else:
             filters += [c.state.in_(SERVED), c.valid_from <= at, or_(c.valid_until.is_(None), c.valid_until > at)]
-        found = self._records(connection, *filters)
+        found = self._read_records(connection, *filters)
         if not found or not found[0].damaged:
             return found[0] if found else None
-        before = self._before(connection, found[0])
+        before = self._find_former_undamaged(connection, found[0])
         return before if before is None or at is not None else replace(before, state="current", valid_until=None)
 
-    def _before(self, connection: Connection, damaged: CalibrationRecord) -> CalibrationRecord | None:
+    def _find_former_undamaged(self, connection: Connection, damaged: CalibrationRecord) -> CalibrationRecord | None:
         """Return the newest undamaged calibration that answered before a damaged one, with the same lens."""
         c = calibration.c
-        answered = self._may_stand_in(connection, damaged.camera, until=damaged.valid_from)
+        answered = self._stand_in_conditions(connection, damaged.camera, until=damaged.valid_from)
         order = (c.valid_from.desc(), c.created_at.desc())
         for name in connection.scalars(select(c.id).where(*answered, c.id != damaged.id).order_by(*order)).all():
-            found = self._records(connection, c.id == name)
+            found = self._read_records(connection, c.id == name)
             if found and not found[0].damaged:
                 return found[0]
         return None
 
-    def _may_stand_in(self, connection: Connection, camera: str, *, until: datetime) -> list[ColumnElement[bool]]:
+    def _stand_in_conditions(
+        self, connection: Connection, camera: str, *, until: datetime
+    ) -> list[ColumnElement[bool]]:
         """Return the conditions of a calibration that answered until a time and may answer again.
 
         It is of the lens of that time, and of no pose epoch that was closed as wrong.
@@ -299,9 +301,9 @@ class CalibrationStore(Part):
         if not provisional:
             filters = [*filters, or_(c.state == "current", not_(c.id.contains(PROVISIONAL)))]
         with self._database.reading() as connection:
-            return tuple(apply_row_interval(record) for record in self._records(connection, *filters, limit=limit))
+            return tuple(apply_row_interval(record) for record in self._read_records(connection, *filters, limit=limit))
 
-    def _records(
+    def _read_records(
         self, connection: Connection, *filters: ColumnElement[bool], limit: int | None = None
     ) -> list[CalibrationRecord]:
         c = calibration.c
@@ -314,7 +316,7 @@ class CalibrationStore(Part):
         return connection.scalar(select(calibration.c.id).where(calibration.c.id == calibration_id)) is not None
 
     def _require_record(self, connection: Connection, calibration_id: str) -> CalibrationRecord:
-        found = self._records(connection, calibration.c.id == calibration_id)
+        found = self._read_records(connection, calibration.c.id == calibration_id)
         if not found:
             raise NotFoundError(
                 field="id", problem=f"there is no calibration {calibration_id}", remedy="see the list of calibrations"
@@ -359,13 +361,13 @@ class CalibrationStore(Part):
 
     def pin(self, calibration_id: str, *, at: datetime, reason: str) -> CalibrationRecord:
         """Keep the current calibration, whatever a refit finds, until it is unpinned or another is reinstated."""
-        return self._hold(calibration_id, "pinned", at=at, reason=reason)
+        return self._set_pinned(calibration_id, "pinned", at=at, reason=reason)
 
     def unpin(self, calibration_id: str, *, at: datetime, reason: str) -> CalibrationRecord:
         """Allow refits to replace the current calibration."""
-        return self._hold(calibration_id, "unpinned", at=at, reason=reason)
+        return self._set_pinned(calibration_id, "unpinned", at=at, reason=reason)
 
-    def _hold(
+    def _set_pinned(
         self, calibration_id: str, what: Literal["pinned", "unpinned"], *, at: datetime, reason: str
     ) -> CalibrationRecord:
         with self._database.writing() as connection:
@@ -405,8 +407,8 @@ class CalibrationStore(Part):
         InputError : it is the camera's first.
         """
         with self._database.writing() as connection:
-            wrong, before = _epoch_and_previous(connection, epoch_id)
-            _join(connection, wrong, before)
+            wrong, before = _read_epoch_and_previous(connection, epoch_id)
+            _join_epochs(connection, wrong, before)
             acknowledge_at(connection, wrong.camera, wrong.started_at, at=at, reason=reason)
             current = self._serve_again(connection, wrong, at=at, reason=reason)
             data = {"pose_epoch": wrong.id, "started_at": wrong.started_at.isoformat(), "reason": reason}
@@ -417,10 +419,10 @@ class CalibrationStore(Part):
     def _serve_again(self, connection: Connection, wrong: PoseEpoch, *, at: datetime, reason: str) -> str | None:
         """Make the calibration that was served before an epoch current again, and return the id of the current one."""
         c = calibration.c
-        current = self._records(connection, c.camera == wrong.camera, c.state == "current")
+        current = self._read_records(connection, c.camera == wrong.camera, c.state == "current")
         if current and current[0].pose_epoch != wrong.id:
             return current[0].id
-        answered = self._records(connection, *self._may_stand_in(connection, wrong.camera, until=at))
+        answered = self._read_records(connection, *self._stand_in_conditions(connection, wrong.camera, until=at))
         undamaged = [record for record in answered if not record.damaged]
         end_others(connection, wrong.camera, at)
         if not undamaged:
@@ -433,7 +435,7 @@ class CalibrationStore(Part):
         return add_copy(connection, last, at=at, findings=(again, *last.findings)).id
 
 
-def _record(document: Mapping[str, Any], parent: str | None) -> CalibrationRecord:
+def _make_record(document: Mapping[str, Any], parent: str | None) -> CalibrationRecord:
     """Take the fields from the document, so that the two cannot differ."""
     try:
         verdict = document["verdict"]
@@ -463,13 +465,13 @@ def add_copy(
     connection: Connection, record: CalibrationRecord, *, at: datetime, findings: tuple[Finding, ...]
 ) -> CalibrationRecord:
     """Store a copy of a calibration that answered before, current from `at` on, with the same sightings."""
-    copy = _copy(record, id=_copy_name(connection, record.id), at=at, findings=findings)
+    copy = _make_copy(record, id=_make_copy_id(connection, record.id), at=at, findings=findings)
     connection.execute(insert(calibration).values(record_columns(copy)))
     copy_used(connection, record.id, to=copy.id)
     return copy
 
 
-def _copy(record: CalibrationRecord, *, id: str, at: datetime, findings: tuple[Finding, ...]) -> CalibrationRecord:  # noqa: A002 - the field's name
+def _make_copy(record: CalibrationRecord, *, id: str, at: datetime, findings: tuple[Finding, ...]) -> CalibrationRecord:  # noqa: A002 - the field's name
     document: Mapping[str, Any] = {**record.document, "id": id, "created_at": rfc3339(at)}
     return replace(
         record,
@@ -485,7 +487,7 @@ def _copy(record: CalibrationRecord, *, id: str, at: datetime, findings: tuple[F
     )
 
 
-def _copy_name(connection: Connection, calibration_id: str) -> str:
+def _make_copy_id(connection: Connection, calibration_id: str) -> str:
     original = _COPY.sub("", calibration_id)
     copies = select(func.count()).where(calibration.c.id.startswith(f"{original}-r", autoescape=True))
     return f"{original}-r{(connection.scalar(copies) or 0) + 1}"
@@ -507,7 +509,7 @@ EPOCH_CLOSED = "epoch_closed"
 """Kind of the event of a pose epoch that was closed as wrong."""
 
 
-def _epoch_and_previous(connection: Connection, epoch_id: str) -> tuple[PoseEpoch, PoseEpoch]:
+def _read_epoch_and_previous(connection: Connection, epoch_id: str) -> tuple[PoseEpoch, PoseEpoch]:
     epochs = pose_epoch.c
     in_order = read_values(connection, select(pose_epoch).where(not_closed()).order_by(epochs.started_at), PoseEpoch)
     camera = next((epoch.camera for epoch in in_order if epoch.id == epoch_id), None)
@@ -523,7 +525,7 @@ def _epoch_and_previous(connection: Connection, epoch_id: str) -> tuple[PoseEpoc
     )
 
 
-def _join(connection: Connection, wrong: PoseEpoch, before: PoseEpoch) -> None:
+def _join_epochs(connection: Connection, wrong: PoseEpoch, before: PoseEpoch) -> None:
     """End an epoch where it began, and extend the one before it over its time and its sightings."""
     epochs, c = pose_epoch.c, sun_point.c
     # The row stays, of no duration: its id is never given again, and the event can still name it.

@@ -81,13 +81,13 @@ def read_columns(
     Without `others` none of them can be of another body than the sun. Without `placed` those whose image shows none
     any more are among them, at no place that means anything.
     """
-    rows = _sort_by_time(_numbers(connection, filters, placed=placed))
+    rows = _sort_by_time(_read_numbers(connection, filters, placed=placed))
     # few epochs and millions of rows: a row has its epoch's beginning, of which a camera has no two alike, and no name
     epochs = tables.pose_epoch.c
-    named = select(_beginning(epochs.started_at), epochs.id).where(epochs.camera == camera)
+    named = select(_epoch_start_us(epochs.started_at), epochs.id).where(epochs.camera == camera)
     epoch_ids = {int(beginning): str(name) for beginning, name in connection.execute(named)}
     present, epoch = np.unique(rows["epoch"], return_inverse=True)
-    temperature, pressure = _air(connection, camera, rows)
+    temperature, pressure = _read_air(connection, camera, rows)
     return SunPointColumns(
         unix_s=rows["time"] / 1e6,
         pixels=np.stack([rows["x"], rows["y"]], axis=-1),
@@ -98,7 +98,7 @@ def read_columns(
         ids=rows["id"].copy(),
         temperature=temperature,
         pressure=pressure,
-        body=_bodies(connection, filters, rows["id"]) if others else np.full(rows.size, SUN),
+        body=_read_body_names(connection, filters, rows["id"]) if others else np.full(rows.size, SUN),
     )
 
 
@@ -108,12 +108,12 @@ def read_candidates(connection: Connection, camera: str, filters: list[ColumnEle
     Half of the time that `read_columns` takes: of millions of sightings a fit uses thousands.
     """
     c, epochs = sun_point.c, tables.pose_epoch.c
-    begun = select(epochs.id).where(epochs.camera == camera).order_by(_beginning(epochs.started_at), epochs.id)
+    begun = select(epochs.id).where(epochs.camera == camera).order_by(_epoch_start_us(epochs.started_at), epochs.id)
     epoch_ids = tuple(str(name) for name in connection.scalars(begun))
     numbers_of = {name: index for index, name in enumerate(epoch_ids)}
     number = case(numbers_of, value=c.pose_epoch, else_=-1) if numbers_of else literal(-1)
     numbers = (c.time, _number_or(c.sigma_px, -1.0), _number_or(c.clock_error_s, -1.0), number, c.id)
-    rows = _rows(connection, select(*numbers).where(*filters, c.body == SUN, *_sound()), _DECISIVE)
+    rows = _fetch_rows(connection, select(*numbers).where(*filters, c.body == SUN, *_sound_row_conditions()), _DECISIVE)
     rows = rows[rows["epoch"] >= 0]
     return CandidateColumns(
         candidates=Candidates(
@@ -134,7 +134,7 @@ def listed(connection: Connection, ids: IntArray) -> ColumnElement[bool]:
     return sun_point.c.id.in_(select(func.json_each(str(ids.tolist())).table_valued("value").c.value))
 
 
-def _bodies(connection: Connection, filters: list[ColumnElement[bool]], ids: IntArray) -> NameArray:
+def _read_body_names(connection: Connection, filters: list[ColumnElement[bool]], ids: IntArray) -> NameArray:
     """Return the names of the bodies of rows (n,): few are not the sun, and only these are read as text."""
     if ids.size == 0:
         return np.full(0, SUN)
@@ -146,7 +146,7 @@ def _bodies(connection: Connection, filters: list[ColumnElement[bool]], ids: Int
     return bodies
 
 
-def _air(connection: Connection, camera: str, rows: np.ndarray[Any, Any]) -> tuple[FloatArray, FloatArray]:
+def _read_air(connection: Connection, camera: str, rows: np.ndarray[Any, Any]) -> tuple[FloatArray, FloatArray]:
     """Return temperature (°C) and pressure (Pa), (n,) each: measured with a sighting, else on its day; else NaN."""
     temperature = within_or_nan(rows["temperature"], TEMPERATURE_BOUNDS_C)
     pressure = within_or_nan(PA_PER_HPA * rows["pressure"], PRESSURE_BOUNDS_PA)
@@ -157,7 +157,7 @@ def _air(connection: Connection, camera: str, rows: np.ndarray[Any, Any]) -> tup
     )
 
 
-def _numbers(connection: Connection, filters: list[ColumnElement[bool]], *, placed: bool) -> np.ndarray[Any, Any]:
+def _read_numbers(connection: Connection, filters: list[ColumnElement[bool]], *, placed: bool) -> np.ndarray[Any, Any]:
     """Return the rows' numbers, in no order: the database would take as long to sort them as to read them."""
     c, epochs = sun_point.c, tables.pose_epoch.c
     place: list[ColumnElement[Any]] = [c.x_px, c.y_px]
@@ -168,17 +168,17 @@ def _numbers(connection: Connection, filters: list[ColumnElement[bool]], *, plac
         *(_number_or(c.temperature_c, _UNMEASURED), _number_or(c.pressure_hpa, _UNMEASURED)),
     )
     joined = sun_point.join(tables.pose_epoch, (c.pose_epoch == epochs.id) & (c.camera == epochs.camera))
-    statement = select(*numbers, _beginning(epochs.started_at), c.id).select_from(joined)
-    return _rows(connection, statement.where(*filters, *_sound(placed=placed)), _COLUMNS)
+    statement = select(*numbers, _epoch_start_us(epochs.started_at), c.id).select_from(joined)
+    return _fetch_rows(connection, statement.where(*filters, *_sound_row_conditions(placed=placed)), _COLUMNS)
 
 
-def _sound(*, placed: bool = True) -> list[ColumnElement[bool]]:
+def _sound_row_conditions(*, placed: bool = True) -> list[ColumnElement[bool]]:
     """Return the conditions that a row has a time and a place: a hand or a bad disk may have written other values."""
     c = sun_point.c
     return [stored_as(c.time, "integer"), *([is_number(c.x_px), is_number(c.y_px)] if placed else [])]
 
 
-def _rows(connection: Connection, statement: Select[Any], columns: np.dtype[np.void]) -> np.ndarray[Any, Any]:
+def _fetch_rows(connection: Connection, statement: Select[Any], columns: np.dtype[np.void]) -> np.ndarray[Any, Any]:
     """Return the rows of a query of numbers, as the driver gives them: without an object for each."""
     return np.fromiter(cast("Iterable[tuple[float, ...]]", connection.execute(statement).cursor), dtype=columns)
 
@@ -190,7 +190,7 @@ def _sort_by_time(rows: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     return np.asarray(rows[np.lexsort((rows["id"], rows["time"]))])
 
 
-def _beginning(started_at: ColumnElement[Any]) -> ColumnElement[int]:
+def _epoch_start_us(started_at: ColumnElement[Any]) -> ColumnElement[int]:
     """Return the stored beginning of an epoch, µs; a value that is not a number, written by hand, counts as 1970."""
     return case((stored_as(started_at, "integer"), type_coerce(started_at, BigInteger)), else_=0)
 
@@ -241,35 +241,37 @@ def sightings_used_by(connection: Connection, calibration_id: str) -> SunPointCo
             remedy="name one that a refit made, see `sunarc calibrations list`",
         )
     try:
-        ids, epochs = _unpack_indices(row.ids), [(str(name), int(start)) for name, start in row.epochs]
-        air = _unpacked_air(row.air, ids.size)
-        measured = _unpacked_measured(row.sigma, ids.size)
+        ids, epochs = _unpack_keys(row.ids), [(str(name), int(start)) for name, start in row.epochs]
+        air = _unpack_air(row.air, ids.size)
+        measured = _unpack_measured(row.sigma, ids.size)
     except (TypeError, ValueError, zlib.error):
-        raise _changed_error(calibration_id, "the list of its sightings is damaged") from None
+        raise _changed_sighting_error(calibration_id, "the list of its sightings is damaged") from None
     whole = measured is not None and len(measured) > 1
     found = read_columns(connection, row.camera, [listed(connection, ids)], placed=not whole)
     if found.ids.size != ids.size:
-        raise _changed_error(calibration_id, f"{ids.size - found.ids.size} of its {ids.size} sightings are gone")
-    columns = _apply_measured(_as_then(found, epochs, air), measured)
+        raise _changed_sighting_error(
+            calibration_id, f"{ids.size - found.ids.size} of its {ids.size} sightings are gone"
+        )
+    columns = _apply_measured(_restore_former_values(found, epochs, air), measured)
     # Rows of the same keys may have been edited since: the fit would not be the same.
-    if _digest(columns) != row.digest:
-        raise _changed_error(calibration_id, "its sightings were changed since")
+    if _compute_digest(columns) != row.digest:
+        raise _changed_sighting_error(calibration_id, "its sightings were changed since")
     return columns
 
 
 def keep_used(connection: Connection, camera: str, calibration_id: str, columns: SunPointColumns) -> None:
     """Store which sightings a calibration rests on, and their former values where they were changed during its fit."""
     starts = np.searchsorted(columns.epoch, np.arange(len(columns.epoch_ids)))  # epochs follow each other in time
-    digest = _digest(columns)
+    digest = _compute_digest(columns)
     now = read_columns(connection, camera, [listed(connection, columns.ids)])
     connection.execute(
         insert(used_sightings).values(
             calibration=calibration_id,
-            ids=_packed(columns.ids),
+            ids=_pack_keys(columns.ids),
             digest=digest,
             epochs=[[name, int(start)] for name, start in zip(columns.epoch_ids, starts, strict=True)],
-            air=_packed_air(columns),
-            sigma=None if _digest(now) == digest else _packed_measured(columns),
+            air=_pack_air(columns),
+            sigma=None if _compute_digest(now) == digest else _pack_measured(columns),
         )
     )
 
@@ -279,9 +281,9 @@ def keep_sigma(connection: Connection, camera: str) -> None:
     c = used_sightings.c
     for row in connection.execute(_select_camera(camera).where(c.sigma.is_(None))).all():
         with suppress(TypeError, ValueError, zlib.error):  # a damaged list cannot be solved again anyway
-            found = read_columns(connection, camera, [listed(connection, _unpack_indices(row.ids))])
+            found = read_columns(connection, camera, [listed(connection, _unpack_keys(row.ids))])
             kept = update(used_sightings).where(c.calibration == row.calibration)
-            connection.execute(kept.values(sigma=_packed_rows(found.sigma_px)))
+            connection.execute(kept.values(sigma=_pack_rows(found.sigma_px)))
 
 
 def keep_measured(connection: Connection, camera: str, changing: Sequence[ColumnElement[bool]]) -> None:
@@ -291,8 +293,8 @@ def keep_measured(connection: Connection, camera: str, changing: Sequence[Column
         return
     for row in connection.execute(_select_camera(camera)).all():
         with suppress(InputError, TypeError, ValueError, zlib.error):  # what is damaged cannot be solved again anyway
-            if np.isin(ids, _unpack_indices(row.ids)).any():
-                measured = _packed_measured(sightings_used_by(connection, row.calibration))
+            if np.isin(ids, _unpack_keys(row.ids)).any():
+                measured = _pack_measured(sightings_used_by(connection, row.calibration))
                 kept = update(used_sightings).where(used_sightings.c.calibration == row.calibration)
                 connection.execute(kept.values(sigma=measured))
 
@@ -310,7 +312,7 @@ def copy_used(connection: Connection, calibration_id: str, *, to: str) -> None:
         connection.execute(insert(used_sightings).values({**row._mapping, "calibration": to}))  # noqa: SLF001 - public
 
 
-def _as_then(found: SunPointColumns, epochs: list[tuple[str, int]], air: FloatArray) -> SunPointColumns:
+def _restore_former_values(found: SunPointColumns, epochs: list[tuple[str, int]], air: FloatArray) -> SunPointColumns:
     """Return sightings in the pose epochs and in the air (2, n) that they had when the calibration was made."""
     starts = np.array([start for _, start in epochs])
     return replace(
@@ -322,44 +324,44 @@ def _as_then(found: SunPointColumns, epochs: list[tuple[str, int]], air: FloatAr
     )
 
 
-def _packed(ids: IntArray) -> bytes:
+def _pack_keys(ids: IntArray) -> bytes:
     """Return keys as steps, compressed: a few thousand take a few kilobytes."""
     # Keys rise by small steps: their differences compress to a few bits each.
     return zlib.compress(np.diff(ids, prepend=0).astype("<i8").tobytes(), 9)
 
 
-def _unpack_indices(packed: bytes) -> IntArray:
+def _unpack_keys(packed: bytes) -> IntArray:
     return np.cumsum(np.frombuffer(zlib.decompress(packed), dtype="<i8")).astype(np.int64)
 
 
-def _packed_air(columns: SunPointColumns) -> bytes | None:
+def _pack_air(columns: SunPointColumns) -> bytes | None:
     """Return temperature and pressure, compressed; None where nothing was measured. A day's is given later, or anew."""
     air = np.stack([columns.temperature, columns.pressure])
-    return None if np.all(np.isnan(air)) else _packed_rows(air)
+    return None if np.all(np.isnan(air)) else _pack_rows(air)
 
 
-def _unpacked_air(packed: bytes | None, count: int) -> FloatArray:
+def _unpack_air(packed: bytes | None, count: int) -> FloatArray:
     """Return temperature and pressure, (2, n); NaN where nothing was kept."""
     if packed is None:
         return np.full((2, count), np.nan)
-    return _unpacked_rows(packed).reshape(2, count)
+    return _unpack_rows(packed).reshape(2, count)
 
 
-def _packed_measured(columns: SunPointColumns) -> bytes:
+def _pack_measured(columns: SunPointColumns) -> bytes:
     """Return all that the digest holds but the times: pixels, sigma and the clock's error."""
-    return _packed_rows(np.vstack([columns.pixels.T, columns.sigma_px, columns.clock_error_s]))
+    return _pack_rows(np.vstack([columns.pixels.T, columns.sigma_px, columns.clock_error_s]))
 
 
-def _unpacked_measured(packed: bytes | None, count: int) -> FloatArray | None:
+def _unpack_measured(packed: bytes | None, count: int) -> FloatArray | None:
     """Return sigma (1, n), or x, y, sigma, clock error (4, n), as a calibration was given them; None: as they are."""
-    return None if packed is None else _unpacked_rows(packed).reshape(-1, count)
+    return None if packed is None else _unpack_rows(packed).reshape(-1, count)
 
 
-def _packed_rows(rows: FloatArray) -> bytes:
+def _pack_rows(rows: FloatArray) -> bytes:
     return zlib.compress(rows.astype("<f8").tobytes(), 9)
 
 
-def _unpacked_rows(packed: bytes) -> FloatArray:
+def _unpack_rows(packed: bytes) -> FloatArray:
     return np.frombuffer(zlib.decompress(packed), dtype="<f8").astype(np.float64)
 
 
@@ -371,7 +373,7 @@ def _apply_measured(columns: SunPointColumns, measured: FloatArray | None) -> Su
     return replace(columns, pixels=measured[:2].T.copy(), sigma_px=measured[2], clock_error_s=measured[3])
 
 
-def _digest(columns: SunPointColumns) -> str:
+def _compute_digest(columns: SunPointColumns) -> str:
     """Return a digest that changes when a sighting that counted is changed."""
     digest = hashlib.sha256()
     for column in (columns.unix_s, columns.pixels, columns.sigma_px, columns.clock_error_s):
@@ -379,7 +381,7 @@ def _digest(columns: SunPointColumns) -> str:
     return digest.hexdigest()
 
 
-def _changed_error(calibration_id: str, problem: str) -> InputError:
+def _changed_sighting_error(calibration_id: str, problem: str) -> InputError:
     return InputError(
         field=f"calibration {calibration_id}",
         problem=problem,

@@ -88,7 +88,7 @@ def day_digests(connection: sa.Connection, camera: str, *, since: date, until: d
     alone, and once: the hub keeps the first of equal ones. Documents count by their checksums.
     """
     until = max(min(until, since + min(timedelta(days=MOST_DAYS), date.max - since)), since)
-    counts = {kind: _counts(connection, kind, camera, since, until) for kind in _DAY_COLUMNS}
+    counts = {kind: _count_rows_by_day(connection, kind, camera, since, until) for kind in _DAY_COLUMNS}
     left, day = MOST_ROWS, since
     read: dict[date, dict[str, int]] = {}
     while day < until:
@@ -99,7 +99,9 @@ def day_digests(connection: sa.Connection, camera: str, *, since: date, until: d
         read[day], day = of_day, day + timedelta(days=1)
     days: dict[str, dict[date, DayDigest | None]] = {
         kind: {
-            one: _digest(connection, kind, camera, one) if kind in read[one] else None for one in found if one in read
+            one: _compute_day_digest(connection, kind, camera, one) if kind in read[one] else None
+            for one in found
+            if one in read
         }
         for kind, found in counts.items()
     }
@@ -116,8 +118,8 @@ def _kinds_to_read(counts: Mapping[str, Mapping[date, int]], day: date) -> dict[
 
 def first_and_last_day(connection: sa.Connection, camera: str) -> tuple[date, date] | None:
     """Return the days of a camera's first and last sighting; None without any."""
-    time = sa.type_coerce(_column("sun_point"), sa.BigInteger)
-    where = _owned("sun_point", camera), time.between(0, _date_to_us(_LATEST))
+    time = sa.type_coerce(_get_day_column("sun_point"), sa.BigInteger)
+    where = _ownership_condition("sun_point", camera), time.between(0, _date_to_us(_LATEST))
     first, last = (connection.scalar(sa.select(found(time)).where(*where)) for found in (sa.func.min, sa.func.max))
     if not isinstance(first, int) or not isinstance(last, int):
         return None
@@ -126,43 +128,43 @@ def first_and_last_day(connection: sa.Connection, camera: str) -> tuple[date, da
 
 def day_condition(kind: str, camera: str, day: date) -> sa.ColumnElement[bool]:
     """Return the condition that a row of a kind is a camera's, and of a UTC day."""
-    return sa.and_(_owned(kind, camera), _between(kind, day, day + timedelta(days=1)))
+    return sa.and_(_ownership_condition(kind, camera), _days_condition(kind, day, day + timedelta(days=1)))
 
 
-def _column(kind: str) -> sa.Column[Any]:
+def _get_day_column(kind: str) -> sa.Column[Any]:
     return sent_columns(kind)[_DAY_COLUMNS[kind]]
 
 
-def _owned(kind: str, camera: str) -> sa.ColumnElement[bool]:
+def _ownership_condition(kind: str, camera: str) -> sa.ColumnElement[bool]:
     """Return the condition that a row is a camera's: an event of no camera is, on an imager, that of its own."""
     owner = FED[kind][0].c.camera
     return sa.or_(owner == camera, owner.is_(None)) if kind == "event" else owner == camera
 
 
-def _between(kind: str, first: date, end: date) -> sa.ColumnElement[bool]:
-    column = _column(kind)
+def _days_condition(kind: str, first: date, end: date) -> sa.ColumnElement[bool]:
+    column = _get_day_column(kind)
     if isinstance(column.type, tables.CalendarDate):
         return (column >= first) & (column < end)
     time = sa.type_coerce(column, sa.BigInteger)
     return (time >= _date_to_us(first)) & (time < _date_to_us(end))
 
 
-def _counts(connection: sa.Connection, kind: str, camera: str, since: date, until: date) -> dict[date, int]:
+def _count_rows_by_day(connection: sa.Connection, kind: str, camera: str, since: date, until: date) -> dict[date, int]:
     """Return the number of rows by day."""
-    column = _column(kind)
+    column = _get_day_column(kind)
     dated = isinstance(column.type, tables.CalendarDate)
     day: sa.ColumnElement[Any] = column if dated else sa.type_coerce(column, sa.BigInteger).op("/")(_DAY_US)
-    where = (_owned(kind, camera), _between(kind, since, until))
+    where = (_ownership_condition(kind, camera), _days_condition(kind, since, until))
     rows = connection.execute(sa.select(day.label("of"), sa.func.count()).where(*where).group_by("of")).all()
     found = ((one if dated else _us_to_date(int(one) * _DAY_US), n) for one, n in rows if one is not None)
     return {one: int(n) for one, n in found if isinstance(one, date)}
 
 
-def _digest(connection: sa.Connection, kind: str, camera: str, day: date) -> DayDigest:
+def _compute_day_digest(connection: sa.Connection, kind: str, camera: str, day: date) -> DayDigest:
     columns = _compared_columns(kind)
     statement = sa.select(*(one.selected for one in columns)).where(day_condition(kind, camera, day))
     rows = connection.execution_options(yield_per=_AT_ONCE).execute(statement)
-    hashes = _hashes(rows, [one.plain for one in columns], owner=None if kind != "event" else camera)
+    hashes = _hash_rows(rows, [one.plain for one in columns], owner=None if kind != "event" else camera)
     if kind == "event":
         hashes = iter(set(hashes))
     n = total = 0
@@ -171,7 +173,9 @@ def _digest(connection: sa.Connection, kind: str, camera: str, day: date) -> Day
     return DayDigest(n, f"{total & (2**64 - 1):016x}")
 
 
-def _hashes(rows: Iterator[Sequence[Any]], plain: Sequence[Callable[[Any], Any]], owner: str | None) -> Iterator[int]:
+def _hash_rows(
+    rows: Iterator[Sequence[Any]], plain: Sequence[Callable[[Any], Any]], owner: str | None
+) -> Iterator[int]:
     for row in rows:
         values = [make(value) for make, value in zip(plain, row, strict=True)]
         if owner is not None:
@@ -180,7 +184,7 @@ def _hashes(rows: Iterator[Sequence[Any]], plain: Sequence[Callable[[Any], Any]]
         yield int.from_bytes(hashlib.blake2b(text.encode(), digest_size=8).digest())
 
 
-class _Compared(NamedTuple):
+class _ComparedColumn(NamedTuple):
     """A column whose value counts, and the expression that makes the same value of it on both engines."""
 
     selected: sa.ColumnElement[Any]
@@ -188,42 +192,46 @@ class _Compared(NamedTuple):
 
 
 @cache
-def _compared_columns(kind: str) -> tuple[_Compared, ...]:
+def _compared_columns(kind: str) -> tuple[_ComparedColumn, ...]:
     names = FED[kind][1] if kind == "event" else sent_columns(kind)  # an event's first column is its camera
     columns = [sent_columns(kind)[name] for name in names]
     left_out = {"document"}  # its checksum stands for it
-    return tuple(_how(one) for one in columns if one.name not in left_out and not isinstance(one.type, tables.JsonOf))
+    return tuple(
+        _make_comparable(one) for one in columns if one.name not in left_out and not isinstance(one.type, tables.JsonOf)
+    )
 
 
-def _how(column: sa.Column[Any]) -> _Compared:
+def _make_comparable(column: sa.Column[Any]) -> _ComparedColumn:
     match column.type:
         case tables.UtcTime():
-            return _Compared(sa.type_coerce(column, sa.BigInteger), _same)
+            return _ComparedColumn(sa.type_coerce(column, sa.BigInteger), _return_unchanged)
         case tables.FindingText():
-            return _Compared(sa.type_coerce(column, sa.Text), _finding_text)
+            return _ComparedColumn(sa.type_coerce(column, sa.Text), _plain_finding_text)
         case tables.FindingTuple():
-            return _Compared(sa.type_coerce(column, sa.JSON), _findings)
+            return _ComparedColumn(sa.type_coerce(column, sa.JSON), _plain_findings)
         case tables.CalendarDate():
-            return _Compared(column, str)
+            return _ComparedColumn(column, str)
     kind = plain_type(column)
-    return _Compared(sa.type_coerce(column, kind), _number if isinstance(kind, sa.Float) else _same)
+    return _ComparedColumn(
+        sa.type_coerce(column, kind), _finite_or_none if isinstance(kind, sa.Float) else _return_unchanged
+    )
 
 
-def _same(value: Any) -> Any:  # noqa: ANN401 - of many types
+def _return_unchanged(value: Any) -> Any:  # noqa: ANN401 - of many types
     return value
 
 
-def _number(value: Any) -> float | None:  # noqa: ANN401 - a damaged row has a text there
+def _finite_or_none(value: Any) -> float | None:  # noqa: ANN401 - a damaged row has a text there
     if not isinstance(value, int | float) or value != value or value in {float("inf"), float("-inf")}:  # noqa: PLR0124 - NaN
         return None
     return float(value) + 0.0  # SQLite has no negative zero
 
 
-def _findings(value: Any) -> list[dict[str, Any]]:  # noqa: ANN401 - whatever is stored
+def _plain_findings(value: Any) -> list[dict[str, Any]]:  # noqa: ANN401 - whatever is stored
     return [from_json(one).as_json() for one in value] if isinstance(value, list) else []
 
 
-def _finding_text(value: Any) -> Any:  # noqa: ANN401 - a damaged row has no text there
+def _plain_finding_text(value: Any) -> Any:  # noqa: ANN401 - a damaged row has no text there
     if not isinstance(value, str) or not value or value.startswith("[{"):
         return value
     return json.dumps([one.as_json() for one in tables.parse_finding_text(value)], separators=(",", ":"))

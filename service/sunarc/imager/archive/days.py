@@ -51,9 +51,9 @@ class DayStore(Part):
                     remedy="wait until it has answered once, or import sightings of it",
                 )
             stored = read_values(connection, select(day_air).where(*this), DayAir)
-            if stored and _values(stored[0]) == _values(air):
+            if stored and _get_air_values(stored[0]) == _get_air_values(air):
                 return stored[0]
-            if _values(air) == (None, None):
+            if _get_air_values(air) == (None, None):
                 connection.execute(delete(day_air).where(*this))
             else:
                 upsert(connection, day_air, field_values(air), key=["camera", "date"])
@@ -62,14 +62,14 @@ class DayStore(Part):
     def air(self, camera: str, *, since: date | None = None, until: date | None = None) -> tuple[DayAir, ...]:
         """Return the measured air of the days with `since` <= date < `until`, the first one first."""
         with self._database.reading() as connection:
-            return _read(connection, camera, since=since, until=until)
+            return _read_air(connection, camera, since=since, until=until)
 
     def sighting_air(self, camera: str, points: Sequence[SunPoint]) -> tuple[FloatArray, FloatArray]:
         """Return temperature (°C) and pressure (Pa) at sightings, (n,) each: their own, else their day's, else NaN."""
         unix_s = np.array([point.time.timestamp() for point in points], dtype=np.float64)
         with self._database.reading() as connection:
             of_day = daily_air(connection, camera, unix_s)
-        measured = _numbers(points)
+        measured = _make_air_arrays(points)
         temperature, pressure = (np.where(np.isnan(own), day, own) for own, day in zip(measured, of_day, strict=True))
         return temperature, pressure
 
@@ -81,8 +81,8 @@ class DayStore(Part):
             )
         if not found:
             return site
-        temperature, pressure = _numbers(found)
-        return site.replace_air(temperature=_or_none(temperature[0]), pressure=_or_none(pressure[0]))
+        temperature, pressure = _make_air_arrays(found)
+        return site.replace_air(temperature=_none_for_nan(temperature[0]), pressure=_none_for_nan(pressure[0]))
 
     def site_with_air_at(self, camera: str, site: Site, time: datetime) -> Site:
         """Return a camera's site in the measured air of the solar day of a moment, as `site_in_measured_air`."""
@@ -110,14 +110,14 @@ def daily_air(connection: Connection, camera: str, unix_s: FloatArray) -> tuple[
     """Return temperature (°C) and pressure (Pa) of the solar days of times (n,), (n,) each; NaN where not measured."""
     unknown = np.full((2, unix_s.size), np.nan)
     longitude = connection.scalar(select(cameras.c.longitude).where(cameras.c.name == camera))
-    of_days = _read(connection, camera) if unix_s.size else ()
+    of_days = _read_air(connection, camera) if unix_s.size else ()
     if not of_days or longitude is None:
         return unknown[0], unknown[1]
     day = solar_days(unix_s, longitude=longitude)
     days = np.array([date_to_day(air.date) for air in of_days])
     # A day after the last known one would be beyond the end; it differs from the last, and is NaN below.
     index = np.minimum(np.searchsorted(days, day), days.size - 1)
-    temperature, pressure = _numbers(of_days)
+    temperature, pressure = _make_air_arrays(of_days)
     is_measured = days[index] == day
     return np.where(is_measured, temperature[index], np.nan), np.where(is_measured, pressure[index], np.nan)
 
@@ -127,7 +127,7 @@ def within_or_nan(values: FloatArray, bounds: tuple[float, float]) -> FloatArray
     return np.where((values >= bounds[0]) & (values <= bounds[1]), values, np.nan)
 
 
-def _read(
+def _read_air(
     connection: Connection, camera: str, *, since: date | None = None, until: date | None = None
 ) -> tuple[DayAir, ...]:
     c = day_air.c
@@ -135,24 +135,24 @@ def _read(
     return read_values(connection, select(day_air).where(*filters).order_by(c.date), DayAir)
 
 
-def _numbers(measured: Sequence[DayAir | SunPoint]) -> tuple[FloatArray, FloatArray]:
+def _make_air_arrays(measured: Sequence[DayAir | SunPoint]) -> tuple[FloatArray, FloatArray]:
     """Return temperature (°C) and pressure (Pa), (n,) each; NaN where not measured."""
     numbers = np.array(
-        [(_number(air.temperature_c), _number(air.pressure_hpa)) for air in measured], dtype=np.float64
+        [(_number_or_nan(air.temperature_c), _number_or_nan(air.pressure_hpa)) for air in measured], dtype=np.float64
     ).reshape(-1, 2)
     temperature = within_or_nan(numbers[:, 0], TEMPERATURE_BOUNDS_C)
     return temperature, within_or_nan(PA_PER_HPA * numbers[:, 1], PRESSURE_BOUNDS_PA)
 
 
-def _number(value: object) -> float:
+def _number_or_nan(value: object) -> float:
     return float(value) if isinstance(value, int | float) else np.nan
 
 
-def _or_none(value: float) -> float | None:
+def _none_for_nan(value: float) -> float | None:
     return None if np.isnan(value) else float(value)
 
 
-def _values(air: DayAir) -> tuple[float | None, float | None]:
+def _get_air_values(air: DayAir) -> tuple[float | None, float | None]:
     return air.temperature_c, air.pressure_hpa
 
 
@@ -273,7 +273,7 @@ class NightStore(Part):
         statement = select(tables.night).where(*filters).order_by(c.decided_at.desc(), c.date.desc()).limit(limit)
         with self._database.reading() as connection:
             rows = connection.execute(statement).mappings().all()
-        return tuple(night for night in map(_night, rows) if night is not None)
+        return tuple(night for night in map(_make_night, rows) if night is not None)
 
 
 def _drop_images(connection: Connection, camera: str) -> None:
@@ -285,7 +285,7 @@ def night_columns(night: Night) -> dict[str, Any]:
     return {one.name: getattr(night, one.name) for one in fields(night)}
 
 
-def _night(row: RowMapping) -> Night | None:
+def _make_night(row: RowMapping) -> Night | None:
     """Return the night of a row; None without a date or a time."""
     lacking = next((column.key for column in tables.night.c if not column.nullable and row[column.key] is None), None)
     if lacking is None:

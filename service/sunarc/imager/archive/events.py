@@ -64,7 +64,7 @@ class RefitStore(Part):
 
     def start(self, refit_id: str, *, started_at: datetime) -> Refit:
         """Write down that a refit has begun."""
-        return self._change(refit_id, state="running", started_at=started_at)
+        return self._update_refit(refit_id, state="running", started_at=started_at)
 
     def finish(
         self,
@@ -77,7 +77,7 @@ class RefitStore(Part):
         findings: tuple[Finding, ...] = (),
     ) -> Refit:
         """Write down how a refit ended, and the calibration it made (accepted or refused)."""
-        return self._change(
+        return self._update_refit(
             refit_id,
             state=state,
             finished_at=finished_at,
@@ -102,7 +102,7 @@ class RefitStore(Part):
         statement = select(tables.refit).where(*filters).order_by(c.requested_at.desc(), c.id.desc()).limit(limit)
         return self._database.values(statement.where(c.finished_at.is_(None)) if unfinished else statement, Refit)
 
-    def _change(self, refit_id: str, **columns: object) -> Refit:
+    def _update_refit(self, refit_id: str, **columns: object) -> Refit:
         self.get(refit_id)
         this_refit = tables.refit.c.id == refit_id
         with self._database.writing() as connection:
@@ -154,7 +154,7 @@ class EventStore(Part):
     def get(self, camera: str, event_id: int) -> Event:
         """Return an event of a camera by its number; NotFoundError where it is no event of this camera."""
         with self._database.reading() as connection:
-            return _event(connection, camera, event_id)
+            return _read_event(connection, camera, event_id)
 
     def acknowledge(self, camera: str, event_id: int, *, at: datetime, reason: str) -> Event:
         """Note that an operator has acknowledged an event, and return it.
@@ -167,7 +167,7 @@ class EventStore(Part):
             It needs no acknowledgement, or has one.
         """
         with self._database.writing() as connection:
-            found = _event(connection, camera, event_id)
+            found = _read_event(connection, camera, event_id)
             if not found.to_acknowledge:
                 before = found.details.get(ACKNOWLEDGED_AT)
                 problem = (
@@ -190,7 +190,7 @@ class EventStore(Part):
         return self._database.values(newest, Event)[::-1]
 
 
-def _event(connection: Connection, camera: str, event_id: int) -> Event:
+def _read_event(connection: Connection, camera: str, event_id: int) -> Event:
     c = tables.event.c
     of_camera = (c.camera == camera) | c.camera.is_(None)
     found = read_values(connection, select(tables.event).where(c.id == event_id, of_camera), Event)
@@ -264,7 +264,7 @@ class HousekeepingStore(Part):
         with self._database.writing(camera=camera) as connection:
             for one in measured:
                 for step in get_args(HousekeepingStep):
-                    _add(connection, camera, step, one)
+                    _add_measurement(connection, camera, step, one)
 
     def find(
         self, camera: str, *, step: HousekeepingStep, since: datetime | None = None, until: datetime | None = None
@@ -283,8 +283,8 @@ class HousekeepingStore(Part):
             return connection.execute(delete(housekeeping).where(c.camera == camera, old)).rowcount
 
 
-def _add(connection: Connection, camera: str, step: HousekeepingStep, measured: Housekeeping) -> None:
-    c, time = housekeeping.c, _begin(measured.time, step)
+def _add_measurement(connection: Connection, camera: str, step: HousekeepingStep, measured: Housekeeping) -> None:
+    c, time = housekeeping.c, _start_of_step(measured.time, step)
     this = (c.camera == camera, c.step == step, c.time == time)
     stored = read_values(connection, select(*_COLUMNS).where(*this), Housekeeping)
     total = merged(measured, stored[0] if stored else Housekeeping(time=time), time=time)
@@ -296,7 +296,7 @@ def _add(connection: Connection, camera: str, step: HousekeepingStep, measured: 
     )
 
 
-def _begin(time: datetime, step: HousekeepingStep) -> datetime:
+def _start_of_step(time: datetime, step: HousekeepingStep) -> datetime:
     """Return the beginning of the hour or the UTC day of a time."""
     hour = time.astimezone(UTC).replace(minute=0, second=0, microsecond=0)
     return hour if step == "hour" else hour.replace(hour=0)

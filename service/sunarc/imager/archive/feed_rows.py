@@ -67,20 +67,20 @@ def plain_type(column: Column[Any]) -> TypeEngine[Any]:
 def from_trigger(kind: str, stored: Mapping[str, Any]) -> dict[str, Any]:
     """Return the JSON values of a row that a trigger of `outbox` wrote: there a number is a text of all its digits."""
     types = {column.name: plain_type(column) for column in FED[kind.removesuffix(REMOVED)][0].columns}
-    return {name: _value(types[name], value) for name, value in stored.items()}
+    return {name: _plain_value(types[name], value) for name, value in stored.items()}
 
 
-def _value(kind: TypeEngine[Any], stored: Any) -> Any:  # noqa: ANN401 - of many types
+def _plain_value(kind: TypeEngine[Any], stored: Any) -> Any:  # noqa: ANN401 - of many types
     if stored is None:
         return None
     if isinstance(kind, Float):
-        return _number(str(stored))
+        return _parse_finite(str(stored))
     if isinstance(kind, Boolean):
         return bool(stored)
     return parsed_json(str(stored)) if isinstance(kind, JSON) else stored
 
 
-def _number(text: str) -> float | None:
+def _parse_finite(text: str) -> float | None:
     try:
         value = float(text)
     except ValueError:
@@ -136,7 +136,7 @@ def read_feed_lines(body: bytes, *, after: int) -> tuple[FeedRow, ...]:
     """
     rows: list[FeedRow] = []
     for number, line in enumerate(body.splitlines(), 1):
-        row = _row(line)
+        row = _parse_row(line)
         if row is None or row.seq <= max(after, rows[-1].seq if rows else after):
             problem = "is not a row" if row is None else f"has number {row.seq}, which is not after the one before"
             raise InputError(field=f"body, line {number}", problem=problem, remedy='send {"seq", "kind", "data"}')
@@ -144,7 +144,7 @@ def read_feed_lines(body: bytes, *, after: int) -> tuple[FeedRow, ...]:
     return tuple(rows)
 
 
-def _row(line: bytes) -> FeedRow | None:
+def _parse_row(line: bytes) -> FeedRow | None:
     try:
         found = json.loads(line, parse_constant=lambda _: None)  # NaN and infinities: no JSON, and no value
         seq, kind, data = found["seq"], found["kind"], found["data"]

@@ -119,7 +119,7 @@ class ImageStore:
     def newest(self, *, kind: str, until: datetime | None = None) -> Path | None:
         """Return the newest image of a kind that is not dated later than `until`, or None."""
         last = "" if until is None else self.path(until, kind=kind).name
-        with self._readable():
+        with self._require_readable():
             for folder in sorted(self.folder.glob(_DAYS), reverse=True):
                 images = [path for path in folder.glob(f"*_{kind}") if not last or path.name <= last]
                 if images:
@@ -143,8 +143,8 @@ class ImageStore:
         limit : so many at most.
         """
         found: list[tuple[datetime, Path]] = []
-        with self._readable():
-            for folder in self._days(since, until):
+        with self._require_readable():
+            for folder in self._list_day_folders(since, until):
                 for path in sorted(folder.glob(f"*_{kind}"), reverse=True):
                     if not _OURS.fullmatch(path.name):
                         continue
@@ -157,7 +157,7 @@ class ImageStore:
                         return found
         return found
 
-    def _days(self, since: datetime | None, until: datetime | None) -> Iterator[Path]:
+    def _list_day_folders(self, since: datetime | None, until: datetime | None) -> Iterator[Path]:
         """Yield the folders of the dates that an interval touches, the newest first."""
         first, last = ("" if one is None else f"{one.astimezone(UTC):%Y/%m/%d}" for one in (since, until))
         for folder in sorted(self.folder.glob(_DAYS), reverse=True):
@@ -167,8 +167,8 @@ class ImageStore:
 
     def make_room(self, needed_bytes: int = 0) -> bool:
         """Remove the oldest images until this much can be written; return whether it can."""
-        with self._readable():
-            while self._free() - needed_bytes < self._keep_free_bytes:
+        with self._require_readable():
+            while self._measure_free_bytes() - needed_bytes < self._keep_free_bytes:
                 if not self._remove_oldest():
                     return False
         return True
@@ -183,8 +183,8 @@ class ImageStore:
             makes all others old, and then each day of new images removes one day of old ones at most.
         """
         removed = 0
-        with self._readable():
-            while (folder := self._expirable(before, keep_newest_days)) is not None:
+        with self._require_readable():
+            while (folder := self._find_expirable_folder(before, keep_newest_days)) is not None:
                 removed_before = removed
                 while self._remove_oldest(before=before, within=folder):
                     removed += 1
@@ -192,26 +192,28 @@ class ImageStore:
                     break
         return removed
 
-    def _expirable(self, before: datetime, keep_newest_days: int) -> Path | None:
+    def _find_expirable_folder(self, before: datetime, keep_newest_days: int) -> Path | None:
         """Return the folder of the oldest image where that one may be removed by its age."""
         with self._lock:
-            oldest = self._first()
-            if oldest is None or _captured_at(oldest) >= before or self._n_dates_from(oldest) <= keep_newest_days:
+            oldest = self._find_oldest_image()
+            if oldest is None or _captured_at(oldest) >= before or self._count_dates_since(oldest) <= keep_newest_days:
                 return None
             return oldest.parent
 
-    def _n_dates_from(self, image: Path) -> int:
+    def _count_dates_since(self, image: Path) -> int:
         """Return how many dates have a folder, from an image's own on."""
         return sum(folder >= image.parent for folder in self.folder.glob(_DAYS))
 
     def usage(self) -> DiskUsage:
         """Return the size of the images; counted once, then kept up to date."""
-        with self._lock, self._readable():
+        with self._lock, self._require_readable():
             if self._bytes is None:
-                self._bytes = sum(_size(path) for path in self.folder.rglob("*") if _OURS.fullmatch(path.name))
-            oldest = self._first()
+                self._bytes = sum(
+                    _file_size_bytes(path) for path in self.folder.rglob("*") if _OURS.fullmatch(path.name)
+                )
+            oldest = self._find_oldest_image()
             return DiskUsage(
-                free_bytes=self._free(),
+                free_bytes=self._measure_free_bytes(),
                 out_of_files=self._lacks_inodes(),
                 images_bytes=self._bytes,
                 oldest_image_at=None if oldest is None else _captured_at(oldest),
@@ -219,12 +221,12 @@ class ImageStore:
 
     def clear_up(self) -> None:
         """Remove the files of an interrupted write."""
-        with self._readable():
+        with self._require_readable():
             for part in self.folder.rglob("*.part"):
                 part.unlink(missing_ok=True)
 
     @contextmanager
-    def _readable(self) -> Iterator[None]:
+    def _require_readable(self) -> Iterator[None]:
         """Raise `OutsideError` where the folder cannot be read; `glob` and `rglob` alone would return nothing."""
         try:
             if self.folder.exists():
@@ -233,7 +235,7 @@ class ImageStore:
         except OSError as error:
             raise OutsideError(f"image folder {self.folder}: {error.strerror or error}") from error
 
-    def _free(self) -> int:
+    def _measure_free_bytes(self) -> int:
         return self._free_bytes(self._existing_folder())
 
     def _lacks_inodes(self) -> bool:
@@ -250,7 +252,7 @@ class ImageStore:
             folder = folder.parent
         return folder
 
-    def _first(self) -> Path | None:
+    def _find_oldest_image(self) -> Path | None:
         """Return the oldest image; the files of one day are listed at a time."""
         while self._oldest and not self._oldest[0].exists():
             self._oldest.popleft()
@@ -264,19 +266,19 @@ class ImageStore:
 
     def _remove_oldest(self, *, before: datetime | None = None, within: Path | None = None) -> bool:
         with self._lock:
-            oldest = self._first()
+            oldest = self._find_oldest_image()
             if oldest is None or (before is not None and _captured_at(oldest) >= before):
                 return False
             if within is not None and oldest.parent != within:
                 return False
-            size = _size(oldest)
+            size = _file_size_bytes(oldest)
             try:
                 oldest.unlink()
             except OSError:
                 return False
             self._bytes = None if self._bytes is None else self._bytes - size
             self._oldest.popleft()
-            _remove_empty(oldest.parent, root=self.folder)
+            _remove_empty_folders(oldest.parent, root=self.folder)
             return True
 
 
@@ -323,14 +325,14 @@ def _captured_at(path: Path) -> datetime:
     return datetime.strptime(path.name[:19], f"{_STAMP}.%f").replace(tzinfo=UTC)
 
 
-def _size(path: Path) -> int:
+def _file_size_bytes(path: Path) -> int:
     try:
         return path.stat().st_size
     except OSError:
         return 0
 
 
-def _remove_empty(folder: Path, *, root: Path) -> None:
+def _remove_empty_folders(folder: Path, *, root: Path) -> None:
     """Remove a day's folder, and its month's and year's, where nothing is left in them."""
     while folder != root:
         try:

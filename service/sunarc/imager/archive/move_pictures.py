@@ -43,8 +43,8 @@ class MovePictures:
 
     def is_due(self, at: datetime) -> bool:
         """Return whether the last copy is ten minutes old."""
-        kept = self._lately()
-        return not kept or abs(at - _time(kept[-1])) >= _EVERY
+        kept = self._list_recent_pictures()
+        return not kept or abs(at - _parse_picture_time(kept[-1])) >= _EVERY
 
     def remember(self, picture: Path, *, sighted_at: datetime) -> None:
         """Copy the newest picture; one that cannot be read is left out.
@@ -60,8 +60,8 @@ class MovePictures:
             The disk refuses.
         """
         time = time_in_name(picture) or sighted_at
-        self._copy(picture, self.folder / f"lately_{time.astimezone(UTC):{_STAMP}}.jpg")
-        for old in self._lately()[:-_LATELY]:
+        self._copy_small(picture, self.folder / f"lately_{time.astimezone(UTC):{_STAMP}}.jpg")
+        for old in self._list_recent_pictures()[:-_LATELY]:
             old.unlink(missing_ok=True)
 
     def keep(self, event: Event, newest: Path, *, sighted_at: datetime) -> None:
@@ -80,35 +80,35 @@ class MovePictures:
         """
         earliest = event.details.get("earliest_unix_s")
         until = utc_time(float(earliest)) if isinstance(earliest, int | float) else event.time
-        before = [path for path in self._lately() if _time(path) <= until]
+        before = [path for path in self._list_recent_pictures() if _parse_picture_time(path) <= until]
         if before and self.path(event, "before") is None:
-            self._copy(before[-1], self._target(event, "before", _time(before[-1])))
+            self._copy_small(before[-1], self._make_target_path(event, "before", _parse_picture_time(before[-1])))
         time = time_in_name(newest) or sighted_at
         if time >= event.time and self.path(event, "after") is None:
-            self._copy(newest, self._target(event, "after", time))
+            self._copy_small(newest, self._make_target_path(event, "after", time))
         for old in sorted(self.folder.glob("move_*.jpg"))[:-_MOST_KEPT]:
             old.unlink(missing_ok=True)
 
     def path(self, event: Event, side: Side) -> Path | None:
         """Return the file of a kept picture; None without one."""
-        return next(iter(self.folder.glob(f"{_name(event, side)}*.jpg")), None)
+        return next(iter(self.folder.glob(f"{_make_name_prefix(event, side)}*.jpg")), None)
 
     def time(self, path: Path) -> datetime:
         """Return when a kept picture was taken."""
-        return _time(path)
+        return _parse_picture_time(path)
 
     def is_complete(self, event: Event) -> bool:
         """Return whether both pictures are kept."""
         return all(self.path(event, side) is not None for side in get_args(Side))
 
-    def _target(self, event: Event, side: Side, time: datetime) -> Path:
-        return self.folder / f"{_name(event, side)}{time.astimezone(UTC):{_STAMP}}.jpg"
+    def _make_target_path(self, event: Event, side: Side, time: datetime) -> Path:
+        return self.folder / f"{_make_name_prefix(event, side)}{time.astimezone(UTC):{_STAMP}}.jpg"
 
-    def _lately(self) -> list[Path]:
+    def _list_recent_pictures(self) -> list[Path]:
         """Return the pictures of the last sightings, the oldest first."""
         return sorted(self.folder.glob("lately_*.jpg"))
 
-    def _copy(self, picture: Path, target: Path) -> None:
+    def _copy_small(self, picture: Path, target: Path) -> None:
         with suppress(FileNotFoundError):
             pixels = decoded(read_regular(picture), cv2.IMREAD_COLOR)
             if pixels is None:
@@ -121,9 +121,9 @@ class MovePictures:
             write_atomically(target, encoded.tobytes())
 
 
-def _name(event: Event, side: Side) -> str:
+def _make_name_prefix(event: Event, side: Side) -> str:
     return f"move_{event.time.astimezone(UTC):{_STAMP}}_{event.kind}_{side}_"
 
 
-def _time(path: Path) -> datetime:
+def _parse_picture_time(path: Path) -> datetime:
     return datetime.strptime(path.stem.rpartition("_")[2], _STAMP).replace(tzinfo=UTC)

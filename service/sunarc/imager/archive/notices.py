@@ -149,20 +149,20 @@ class NoticeStore(Part):
         -------
         The conditions that hold: with those that have not ended.
         """
-        look = _Look(camera, conditions, now, clears)
+        look = _PresentState(camera, conditions, now, clears)
         with self._database.reading() as connection:
-            position = _position(connection, camera)
-            if position is not None and _news(connection, position, look)[1] == position:
+            position = _read_position(connection, camera)
+            if position is not None and _make_new_notices(connection, position, look)[1] == position:
                 return position.conditions
         with self._database.writing(camera=camera) as connection:
             # Read again under the lock: another process may have stored what is new since; a notice is stored once.
-            position, rows = _position(connection, camera), list[dict[str, Any]]()
+            position, rows = _read_position(connection, camera), list[dict[str, Any]]()
             if position is None:
                 position = _NoticePosition(
-                    _last_event(connection, camera), _current(connection, camera), conditions, now
+                    _last_event(connection, camera), _read_current_calibration(connection, camera), conditions, now
                 )
             else:
-                rows, position = _news(connection, position, look)
+                rows, position = _make_new_notices(connection, position, look)
             if rows:
                 connection.execute(insert(notice), rows)
             upsert(connection, notice_position, {"camera": camera, **position._asdict()}, key=["camera"])
@@ -214,7 +214,7 @@ class _NoticePosition(NamedTuple):
     since: datetime
 
 
-class _Look(NamedTuple):
+class _PresentState(NamedTuple):
     """Present state of a camera; see `NoticeStore.record`."""
 
     camera: str
@@ -223,7 +223,7 @@ class _Look(NamedTuple):
     clears: bool
 
 
-def _position(connection: Connection, camera: str) -> _NoticePosition | None:
+def _read_position(connection: Connection, camera: str) -> _NoticePosition | None:
     row = connection.execute(select(notice_position).where(notice_position.c.camera == camera)).one_or_none()
     return None if row is None else _NoticePosition(row.event, row.calibration, row.conditions, row.since)
 
@@ -236,13 +236,13 @@ def _camera_condition(camera: str) -> ColumnElement[bool]:
     return (event.c.camera == camera) | event.c.camera.is_(None)
 
 
-def _current(connection: Connection, camera: str) -> str:
+def _read_current_calibration(connection: Connection, camera: str) -> str:
     c = calibration.c
     return str(connection.scalar(select(c.id).where(c.camera == camera, c.state == "current")) or "")
 
 
-def _news(
-    connection: Connection, position: _NoticePosition, look: _Look
+def _make_new_notices(
+    connection: Connection, position: _NoticePosition, look: _PresentState
 ) -> tuple[list[dict[str, Any]], _NoticePosition]:
     """Return the rows of new notices, and the position after them."""
     camera, conditions, now, clears = look
@@ -251,20 +251,20 @@ def _news(
     times = {one.id: one.time for one in events}
     rows: list[dict[str, Any]] = []
     reached = position
-    current = _current(connection, camera)
+    current = _read_current_calibration(connection, camera)
     for change in stored_changes(events, current, after_event=position.event, known=position.calibration):
         time = now if change.kind == "calibration" else times[change.event]
         reached = reached._replace(event=change.event, calibration=change.calibration)
         if time >= position.since:
-            rows.append(_row(camera, time, change.kind, change.data))
+            rows.append(_make_notice_row(camera, time, change.kind, change.data))
     ended = {} if clears else position.conditions
     # what is set keeps the data that it was set with: its numbers change all the time
     held = {**ended, **{code: position.conditions.get(code, data) for code, data in conditions.items()}}
-    rows += [_row(camera, now, kind, data) for kind, data in condition_changes(position.conditions, held)]
+    rows += [_make_notice_row(camera, now, kind, data) for kind, data in condition_changes(position.conditions, held)]
     return rows, reached._replace(conditions=held)
 
 
-def _row(camera: str, time: datetime, kind: str, data: Mapping[str, Any]) -> dict[str, Any]:
+def _make_notice_row(camera: str, time: datetime, kind: str, data: Mapping[str, Any]) -> dict[str, Any]:
     return {"id": uuid.uuid4().hex, "camera": camera, "time": time, "kind": kind, "data": dict(data)}
 
 

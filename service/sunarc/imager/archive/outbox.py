@@ -56,22 +56,24 @@ class Outbox(Part):
             raise ConfigurationError("hub.url: only an archive in SQLite is sent to a hub; unset `store` or `hub.url`")
         wanted = dict(outbox_triggers())
         with self._database.reading() as connection:
-            if _is_begun(connection) and _triggers(connection) == wanted:
+            if _is_begun(connection) and _read_triggers(connection) == wanted:
                 return False
         with self._database.writing() as connection:
-            present, begun = _triggers(connection), _is_begun(connection)
-            new = [kind for kind in FED if not present.keys() & _names(kind)]
-            others = {name: sql for name, sql in wanted.items() if not any(name in _names(kind) for kind in new)}
+            present, begun = _read_triggers(connection), _is_begun(connection)
+            new = [kind for kind in FED if not present.keys() & _list_trigger_names(kind)]
+            others = {
+                name: sql for name, sql in wanted.items() if not any(name in _list_trigger_names(kind) for kind in new)
+            }
             if begun and present and present == others:
                 for name in wanted.keys() - others.keys():
                     connection.exec_driver_sql(wanted[name])
-                _queue(connection, new)
+                _queue_rows(connection, new)
                 return False
-            _drop(connection, present)
+            _drop_triggers(connection, present)
             for sql in wanted.values():
                 connection.exec_driver_sql(sql)
             _queue_all(connection)
-            _set_position(connection, OutboxPosition(installation=uuid.uuid4().hex, committed=0, sent=0))
+            _write_position(connection, OutboxPosition(installation=uuid.uuid4().hex, committed=0, sent=0))
         return True
 
     def disable(self) -> None:
@@ -82,7 +84,7 @@ class Outbox(Part):
             present = [str(name) for name, _ in connection.execute(sa.text(_TRIGGERS))]
         if present:
             with self._database.writing() as connection:
-                _drop(connection, present)
+                _drop_triggers(connection, present)
                 connection.execute(sa.delete(outbox))
                 connection.execute(sa.delete(outbox_position))
 
@@ -94,7 +96,7 @@ class Outbox(Part):
     def position(self) -> OutboxPosition:
         """Return how far the outbox came; it has to be enabled."""
         with self._database.reading() as connection:
-            return _position(connection)
+            return _read_position(connection)
 
     def waiting(self) -> int:
         """Return how many rows wait."""
@@ -104,7 +106,7 @@ class Outbox(Part):
     def rows(self, *, most: int, most_bytes: int) -> tuple[FeedRow, ...]:
         """Return the next rows in their order: at most so many, and so many bytes, but at least one."""
         with self._database.reading() as connection:
-            stored = _next(connection, most, most_bytes)
+            stored = _read_next_rows(connection, most, most_bytes)
         return _parse_rows(stored)
 
     def rows_to_send(self, position: OutboxPosition, *, most: int, most_bytes: int) -> tuple[FeedRow, ...] | None:
@@ -118,9 +120,9 @@ class Outbox(Part):
         The rows; None where the outbox does not stand at `position`.
         """
         with self._database.writing() as connection:
-            if _position(connection) != position:
+            if _read_position(connection) != position:
                 return None
-            stored = _next(connection, most, most_bytes)
+            stored = _read_next_rows(connection, most, most_bytes)
             if stored:
                 c = outbox_position.c
                 connection.execute(
@@ -144,7 +146,7 @@ class Outbox(Part):
         """
         with self._database.writing() as connection:
             newest = connection.scalar(sa.select(sa.func.max(outbox.c.seq)).where(outbox.c.seq <= seq))
-            if newest not in {None, seq} or seq > _position(connection).sent:
+            if newest not in {None, seq} or seq > _read_position(connection).sent:
                 return False
             connection.execute(sa.delete(outbox).where(outbox.c.seq <= seq))
             connection.execute(sa.update(outbox_position).values(committed=seq))
@@ -174,31 +176,31 @@ class Outbox(Part):
             before = connection.scalar(sa.select(sa.func.count()).select_from(outbox)) or 0
             wanted = sorted(days, key=lambda one: (list(FED).index(one[0]), one[1]))
             if wanted:
-                _queue(connection, ("camera", "pose_epoch"))
+                _queue_rows(connection, ("camera", "pose_epoch"))
             for kind, day in wanted:
-                _queue(connection, (kind,), day_condition(kind, camera, day))
+                _queue_rows(connection, (kind,), day_condition(kind, camera, day))
             return (connection.scalar(sa.select(sa.func.count()).select_from(outbox)) or 0) - before
 
     def begin_installation(self, installation: str) -> None:
         """Begin a feed of its own with all rows, under an id: another one went on under the former id."""
         with self._database.writing() as connection:
             _queue_all(connection)
-            _set_position(connection, OutboxPosition(installation=installation, committed=0, sent=0))
+            _write_position(connection, OutboxPosition(installation=installation, committed=0, sent=0))
 
 
 def _is_begun(connection: sa.Connection) -> bool:
     return connection.scalar(sa.select(sa.func.count()).select_from(outbox_position)) == 1
 
 
-def _triggers(connection: sa.Connection) -> dict[str, str]:
+def _read_triggers(connection: sa.Connection) -> dict[str, str]:
     return {str(name): str(sql) for name, sql in connection.execute(sa.text(_TRIGGERS))}
 
 
-def _position(connection: sa.Connection) -> OutboxPosition:
+def _read_position(connection: sa.Connection) -> OutboxPosition:
     return OutboxPosition(**connection.execute(sa.select(outbox_position)).mappings().one())
 
 
-def _next(connection: sa.Connection, most: int, most_bytes: int) -> list[sa.Row[Any]]:
+def _read_next_rows(connection: sa.Connection, most: int, most_bytes: int) -> list[sa.Row[Any]]:
     """Return the next rows as they are stored: at most so many, and so many bytes, but at least one."""
     found: list[sa.Row[Any]] = []
     size = 0
@@ -219,13 +221,13 @@ def _parse_rows(stored: Iterable[sa.Row[Any]]) -> tuple[FeedRow, ...]:
     return tuple(rows)
 
 
-def _set_position(connection: sa.Connection, position: OutboxPosition) -> None:
+def _write_position(connection: sa.Connection, position: OutboxPosition) -> None:
     connection.execute(sa.delete(outbox_position))
     values = {"installation": position.installation, "committed": position.committed, "sent": position.sent}
     connection.execute(sa.insert(outbox_position).values(values))
 
 
-def _drop(connection: sa.Connection, names: Mapping[str, str] | list[str]) -> None:
+def _drop_triggers(connection: sa.Connection, names: Mapping[str, str] | list[str]) -> None:
     for name in names:
         connection.exec_driver_sql(f'DROP TRIGGER "{name}"')
 
@@ -233,12 +235,12 @@ def _drop(connection: sa.Connection, names: Mapping[str, str] | list[str]) -> No
 def _queue_all(connection: sa.Connection) -> None:
     """Queue every row as it is now, in the order of the tables' references and in which rows were made."""
     connection.execute(sa.delete(outbox))
-    _queue(connection, FED)
+    _queue_rows(connection, FED)
 
 
-def _queue(connection: sa.Connection, kinds: Iterable[str], where: sa.ColumnElement[bool] | None = None) -> None:
+def _queue_rows(connection: sa.Connection, kinds: Iterable[str], where: sa.ColumnElement[bool] | None = None) -> None:
     for kind in kinds:
-        queued = (sa.literal_column(f"'{kind}'", sa.Text), sa.literal_column(_object(kind, kind), sa.Text))
+        queued = (sa.literal_column(f"'{kind}'", sa.Text), sa.literal_column(_make_row_sql(kind, kind), sa.Text))
         rows = sa.select(*queued).select_from(FED[kind][0]).where(sa.true() if where is None else where)
         in_order = rows.order_by(sa.literal_column(f'"{kind}".rowid'))
         connection.execute(sa.insert(outbox).from_select(["kind", "data"], in_order))
@@ -251,8 +253,8 @@ def outbox_triggers() -> Iterator[tuple[str, str]]:
             f'OLD."{column.name}" IS NOT NEW."{column.name}"' for column in sent_columns(kind).values()
         )
         moved = " OR ".join(f'OLD."{name}" IS NOT NEW."{name}"' for name in key)
-        stored = f"INSERT INTO outbox (kind, data) VALUES ('{kind}', {_object(kind, 'NEW')});"  # noqa: S608 - constants
-        removed = f"INSERT INTO outbox (kind, data) SELECT '{kind}{REMOVED}', {_object(kind, 'OLD', only=key)}"
+        stored = f"INSERT INTO outbox (kind, data) VALUES ('{kind}', {_make_row_sql(kind, 'NEW')});"  # noqa: S608 - constants
+        removed = f"INSERT INTO outbox (kind, data) SELECT '{kind}{REMOVED}', {_make_row_sql(kind, 'OLD', only=key)}"
         for event, condition, actions in (
             ("insert", "", stored),
             ("update", f"WHEN {changed} ", f"{removed} WHERE {moved}; {stored}"),
@@ -262,19 +264,19 @@ def outbox_triggers() -> Iterator[tuple[str, str]]:
             yield name, f'CREATE TRIGGER "{name}" AFTER {event.upper()} ON "{kind}" {condition}BEGIN {actions} END'
 
 
-def _names(kind: str) -> set[str]:
+def _list_trigger_names(kind: str) -> set[str]:
     """Return the names of a table's triggers."""
     return {f"outbox_{kind}_{event}" for event in _CHANGES}
 
 
-def _object(kind: str, row: str, *, only: tuple[str, ...] | None = None) -> str:
+def _make_row_sql(kind: str, row: str, *, only: tuple[str, ...] | None = None) -> str:
     """Return the expression of a row's JSON object."""
     columns = [column for column in sent_columns(kind).values() if only is None or column.name in only]
-    pairs = chain.from_iterable((f"'{column.name}'", _expression(column, f'"{row}"')) for column in columns)
+    pairs = chain.from_iterable((f"'{column.name}'", _make_column_sql(column, f'"{row}"')) for column in columns)
     return f"json_object({', '.join(pairs)})"
 
 
-def _expression(column: sa.Column[Any], row: str) -> str:
+def _make_column_sql(column: sa.Column[Any], row: str) -> str:
     """Return the expression of a column in a row; it fails with no value, or the change itself would fail."""
     kind, value = plain_type(column), f'{row}."{column.name}"'
     if isinstance(kind, sa.Float):

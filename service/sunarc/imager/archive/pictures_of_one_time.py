@@ -61,12 +61,12 @@ def judge_pictures(connection: Connection, camera: str, times: Collection[dateti
             list(members) for _, members in itertools.groupby(of_time, key=lambda row: row.folder)
         ]
         if len(folders) > 1:
-            found |= _judge(connection, folders)
+            found |= _judge_folders(connection, folders)
     return found
 
 
-def _judge(connection: Connection, folders: Sequence[Sequence[Row[Any]]]) -> dict[str, Finding]:
-    suns = [[sun for row in rows if (sun := _row_sun(row)) is not None] for rows in folders]
+def _judge_folders(connection: Connection, folders: Sequence[Sequence[Row[Any]]]) -> dict[str, Finding]:
+    suns = [[sun for row in rows if (sun := _find_row_sun(row)) is not None] for rows in folders]
     every = [sun for of_folder in suns for sun in of_folder]
     if not every:
         return {}
@@ -74,29 +74,31 @@ def _judge(connection: Connection, folders: Sequence[Sequence[Row[Any]]]) -> dic
     counts, others = (suns[0], every[len(suns[0]) :]) if agree else ([], every)
     for sun in counts:
         if sun.verdict != sun.row.verdict:  # it was set aside before
-            _change(connection, sun, accepted=sun.verdict != ELSEWHERE, verdict=sun.verdict, findings=sun.findings)
+            _update_sighting(
+                connection, sun, accepted=sun.verdict != ELSEWHERE, verdict=sun.verdict, findings=sun.findings
+            )
     found = {}
     for sun in others:
-        other = next(path for path in (_path(rows[0]) for rows in folders) if path != sun.path)
+        other = next(path for path in (_make_file_path(rows[0]) for rows in folders) if path != sun.path)
         found[sun.path] = Finding(TWO_PICTURES, {"file": sun.path, "other": other, "verdict": sun.verdict})
         findings = (found[sun.path], *sun.findings)
-        _change(connection, sun, accepted=False, verdict="set_aside", findings=findings)
+        _update_sighting(connection, sun, accepted=False, verdict="set_aside", findings=findings)
     return found
 
 
-def _row_sun(row: Row[Any]) -> _Sun | None:
+def _find_row_sun(row: Row[Any]) -> _Sun | None:
     aside: Mapping[str, Any] = next((one.data for one in row.findings if one.code == TWO_PICTURES), {})
     has_sun = (row.accepted or row.verdict == ELSEWHERE or aside) and row.x_px is not None and row.y_px is not None
     if not has_sun:
         return None
     own = tuple(one for one in row.findings if one.code != TWO_PICTURES)
-    return _Sun(row, _path(row), str(aside.get("verdict", row.verdict)), own)
+    return _Sun(row, _make_file_path(row), str(aside.get("verdict", row.verdict)), own)
 
 
-def _path(row: Row[Any]) -> str:
+def _make_file_path(row: Row[Any]) -> str:
     return str(row.file) if row.folder == "." else f"{row.folder}/{row.file}"
 
 
-def _change(connection: Connection, sun: _Sun, **values: Any) -> None:  # noqa: ANN401 - of the columns
+def _update_sighting(connection: Connection, sun: _Sun, **values: Any) -> None:  # noqa: ANN401 - of the columns
     c = sun_point.c
     connection.execute(update(sun_point).where(c.id == sun.row.id, c.time == sun.row.time).values(**values))

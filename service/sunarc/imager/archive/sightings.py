@@ -90,21 +90,21 @@ class FileSighting(NamedTuple):
         return ImageKey(self.time_us, self.exposure_us, self.file, self.folder)
 
 
-def _set_others_aside(connection: Connection, point: SunPoint) -> None:
-    others = (*_same_image(point), sun_point.c.method != point.method, sun_point.c.accepted.is_(True))
+def _reject_other_methods(connection: Connection, point: SunPoint) -> None:
+    others = (*_same_image_conditions(point), sun_point.c.method != point.method, sun_point.c.accepted.is_(True))
     folders = (point.folder, "")  # that of former sightings is not known (revision 0019)
     change = update(sun_point).where(*others, sun_point.c.folder.in_(folders))
     connection.execute(change.values(accepted=False, verdict="set_aside", findings=SUPERSEDED))
 
 
-def _name_folder(connection: Connection, point: SunPoint) -> None:
+def _set_missing_folder(connection: Connection, point: SunPoint) -> None:
     """Give former sightings of an image whose folder is not known (revision 0019) that of a new one."""
-    here = select(sun_point.c.id).where(*_same_image(point), sun_point.c.folder == point.folder)
-    unknown = (*_same_image(point), sun_point.c.folder == "", sun_point.c.method == point.method)
+    here = select(sun_point.c.id).where(*_same_image_conditions(point), sun_point.c.folder == point.folder)
+    unknown = (*_same_image_conditions(point), sun_point.c.folder == "", sun_point.c.method == point.method)
     connection.execute(update(sun_point).where(*unknown, ~here.exists()).values(folder=point.folder))
 
 
-def _same_image(point: SunPoint) -> tuple[ColumnElement[bool], ...]:
+def _same_image_conditions(point: SunPoint) -> tuple[ColumnElement[bool], ...]:
     c = sun_point.c
     same_time = (c.camera == point.camera, c.time == point.time, c.body == point.body)
     return *same_time, c.exposure_us == point.exposure_us, c.file == point.file
@@ -178,7 +178,7 @@ class EpochStore(Part):
                 raise InputError(
                     field="at", problem="a pose epoch began at that time or later", remedy="give a later time"
                 )
-            epoch = PoseEpoch(id=_next_id(connection, camera), camera=camera, started_at=at, reason=reason)
+            epoch = PoseEpoch(id=_make_epoch_id(connection, camera), camera=camera, started_at=at, reason=reason)
             closing = update(tables.pose_epoch).where(epochs.camera == camera, epochs.ended_at.is_(None))
             connection.execute(closing.values(ended_at=at))
             connection.execute(insert(tables.pose_epoch).values(field_values(epoch)))
@@ -211,8 +211,8 @@ class EpochStore(Part):
                     problem="an epoch that began at that time was closed as wrong",
                     remedy="give another time",
                 )
-            divided, new = begun[-1], _next_id(connection, camera)
-            first = _first_answered(connection, divided.id)
+            divided, new = begun[-1], _make_epoch_id(connection, camera)
+            first = _read_first_answer_time(connection, divided.id)
             keeps_later = first is not None and first >= at
             earlier = replace(divided, id=new if keeps_later else divided.id, ended_at=at)
             later = replace(divided, id=divided.id if keeps_later else new, started_at=at, reason=reason)
@@ -247,7 +247,7 @@ class EpochStore(Part):
 def _epoch_at(connection: Connection, camera: str, at: datetime, reason: str) -> PoseEpoch:
     """Return the pose epoch of a moment; the first one is opened, or reaches back to the moment."""
     epochs = tables.pose_epoch.c
-    known = _known_epochs(connection, camera)
+    known = _read_epochs(connection, camera)
     if not known:
         first = PoseEpoch(id=f"{camera}-1", camera=camera, started_at=at, reason=reason)
         connection.execute(insert(tables.pose_epoch).values(field_values(first)))
@@ -255,19 +255,19 @@ def _epoch_at(connection: Connection, camera: str, at: datetime, reason: str) ->
     if at < known[0].started_at:
         connection.execute(update(tables.pose_epoch).where(epochs.id == known[0].id).values(started_at=at))
         return replace(known[0], started_at=at)
-    return _newest_begun(known, at)
+    return _find_last_begun(known, at)
 
 
-def _known_epochs(connection: Connection, camera: str) -> tuple[PoseEpoch, ...]:
+def _read_epochs(connection: Connection, camera: str) -> tuple[PoseEpoch, ...]:
     statement = select(tables.pose_epoch).where(tables.pose_epoch.c.camera == camera, not_closed())
     return read_values(connection, statement.order_by(tables.pose_epoch.c.started_at), PoseEpoch)
 
 
-def _newest_begun(epochs: Sequence[PoseEpoch], at: datetime) -> PoseEpoch:
+def _find_last_begun(epochs: Sequence[PoseEpoch], at: datetime) -> PoseEpoch:
     return epochs[bisect_right(epochs, at, key=lambda epoch: epoch.started_at) - 1]
 
 
-def _in_epochs(connection: Connection, points: Sequence[SunPoint], reason: str) -> Sequence[SunPoint]:
+def _assign_epochs(connection: Connection, points: Sequence[SunPoint], reason: str) -> Sequence[SunPoint]:
     """Return the sightings, those without a pose epoch in that of their time.
 
     In the transaction that stores them: an epoch that is opened before it is found here, and one that is opened after
@@ -277,9 +277,9 @@ def _in_epochs(connection: Connection, points: Sequence[SunPoint], reason: str) 
     epochs: dict[str, tuple[PoseEpoch, ...]] = {}
     for camera in {point.camera for point in without}:
         _epoch_at(connection, camera, min(point.time for point in without if point.camera == camera), reason)
-        epochs[camera] = _known_epochs(connection, camera)
+        epochs[camera] = _read_epochs(connection, camera)
     return [
-        point if point.pose_epoch else replace(point, pose_epoch=_newest_begun(epochs[point.camera], point.time).id)
+        point if point.pose_epoch else replace(point, pose_epoch=_find_last_begun(epochs[point.camera], point.time).id)
         for point in points
     ]
 
@@ -326,12 +326,12 @@ class SightingStore(Part):
             for camera in {point.camera for point in kept}:
                 times = [point.time for point in kept if point.camera == camera]
                 keep_measured(connection, camera, (c.camera == camera, c.time.between(min(times), max(times))))
-            for point in _in_epochs(connection, kept, first_epoch):
+            for point in _assign_epochs(connection, kept, first_epoch):
                 if point.folder:
-                    _name_folder(connection, point)
+                    _set_missing_folder(connection, point)
                 upsert(connection, sun_point, field_values(point), key=_KEY)
                 if point.accepted or (point.verdict == "in_stack" and point.time in stacked):
-                    _set_others_aside(connection, point)
+                    _reject_other_methods(connection, point)
             for camera in {point.camera for point in kept if point.folder}:
                 of_folders = {point.time for point in kept if point.camera == camera and point.folder}
                 aside |= judge_pictures(connection, camera, of_folders)
@@ -352,7 +352,7 @@ class SightingStore(Part):
             keep_measured(connection, camera, of_images)
             before = int(connection.scalar(count) or 0)
             connection.execute(aside.values(accepted=False, verdict="set_aside", findings=_NOT_NAMED_AGAIN))
-            for point in _in_epochs(connection, named, FIRST_SIGHTING):
+            for point in _assign_epochs(connection, named, FIRST_SIGHTING):
                 upsert(connection, sun_point, field_values(point), key=_KEY)
             return int(connection.scalar(count) or 0) - before
 
@@ -407,7 +407,7 @@ class SightingStore(Part):
             return 0
         self._database.prepare_months([point.time for point in new])
         with self._database.writing() as connection:
-            rows = [field_values(point) for point in _in_epochs(connection, new, first_epoch)]
+            rows = [field_values(point) for point in _assign_epochs(connection, new, first_epoch)]
             return insert_new(connection, sun_point, rows)
 
     def widen_clock_errors(self, camera: str, *, since: datetime, until: datetime, error_s: float) -> int:
@@ -437,8 +437,8 @@ class SightingStore(Part):
         Of the sun unless another `body` is named.
         """
         c = sun_point.c
-        filters = _filters(camera, since=since, until=until, accepted=accepted, pose_epoch=pose_epoch)
-        filters += [*_clock_within(largest_clock_error_s)]
+        filters = _make_filters(camera, since=since, until=until, accepted=accepted, pose_epoch=pose_epoch)
+        filters += [*_clock_error_condition(largest_clock_error_s)]
         filters += given((c.body.__eq__, body), (c.ingest_pass.__eq__, ingest_pass))
         fields = [column for column in c if column.name != "id"]
         order = (c.time.desc(), c.id.desc()) if newest_first else (c.time, c.id)
@@ -466,8 +466,8 @@ class SightingStore(Part):
         c = sun_point.c
         # no column, so that SQLite finds the few new rows by their keys, and does not read all of the camera by theirs
         of_camera = c.camera.__eq__ if after_id is None else c.camera.concat("").__eq__
-        filters = _filters(None, since=since, until=until, accepted=True, pose_epoch=pose_epoch)
-        filters += [of_camera(camera), *_clock_within(largest_clock_error_s)]
+        filters = _make_filters(None, since=since, until=until, accepted=True, pose_epoch=pose_epoch)
+        filters += [of_camera(camera), *_clock_error_condition(largest_clock_error_s)]
         filters += given(
             (c.body.__eq__, body), (c.method.__eq__, method), (c.file.__ne__, "" if file_sightings else None)
         )
@@ -480,7 +480,7 @@ class SightingStore(Part):
     ) -> CandidateColumns:
         """Return the columns by which a fit selects from the accepted sightings of the sun; see `by_ids`."""
         with self._database.reading() as connection:
-            return read_candidates(connection, camera, _filters(camera, since=since, until=until, accepted=True))
+            return read_candidates(connection, camera, _make_filters(camera, since=since, until=until, accepted=True))
 
     def by_ids(self, camera: str, ids: IntArray) -> SunPointColumns:
         """Return the sightings of a camera with these keys, in the order of time; without those that are gone."""
@@ -490,7 +490,7 @@ class SightingStore(Part):
     def newest_time(self, camera: str, *, largest_clock_error_s: float) -> datetime | None:
         """Return the time of the newest sighting whose clock error bound is within a limit; None without one."""
         c = sun_point.c
-        newest = select(c.time).where(c.camera == camera, *_clock_within(largest_clock_error_s))
+        newest = select(c.time).where(c.camera == camera, *_clock_error_condition(largest_clock_error_s))
         with self._database.reading() as connection:
             return connection.scalar(newest.order_by(c.time.desc()).limit(1))
 
@@ -504,7 +504,7 @@ class SightingStore(Part):
         had delivered before (`FROZEN`): they show another moment's sky.
         """
         c = sun_point.c
-        filters = [*_filters(camera, since=since, until=until), *_clock_within(largest_clock_error_s)]
+        filters = [*_make_filters(camera, since=since, until=until), *_clock_error_condition(largest_clock_error_s)]
         filters += [c.body == SUN, c.verdict != FROZEN]
         with self._database.reading() as connection:
             imported = select(c.id).where(*filters, c.method == "import").limit(1)
@@ -520,7 +520,9 @@ class SightingStore(Part):
         A saturated disc's level is what the fit made of its edges; above 100 times full scale it counts as that.
         """
         c = sun_point.c
-        filters = _filters(camera, since=since, until=until, accepted=True) + _clock_within(largest_clock_error_s)
+        filters = _make_filters(camera, since=since, until=until, accepted=True) + _clock_error_condition(
+            largest_clock_error_s
+        )
         filters += [c.method == "disc", c.body == SUN]
         with self._database.reading() as connection:
             return read_levels(connection, filters)
@@ -564,7 +566,7 @@ class SightingStore(Part):
         by_day: dict[int, list[tuple[str, bool, int, float | None]]] = {}
         for day_number, *row in rows:
             by_day.setdefault(int(day_number), []).append((row[0], row[1], row[2], row[3]))
-        return tuple(_count_day(one, by_day[one]) for one in sorted(by_day, reverse=True))
+        return tuple(_make_day_counts(one, by_day[one]) for one in sorted(by_day, reverse=True))
 
 
 def _image_conditions(camera: str, key: ImageKey) -> tuple[ColumnElement[bool], ...]:
@@ -574,7 +576,7 @@ def _image_conditions(camera: str, key: ImageKey) -> tuple[ColumnElement[bool], 
     return c.camera == camera, *same_time, c.file == key.file, c.folder == key.folder, c.body == SUN
 
 
-def _count_day(day: int, rows: list[tuple[str, bool, int, float | None]]) -> SightingCounts:
+def _make_day_counts(day: int, rows: list[tuple[str, bool, int, float | None]]) -> SightingCounts:
     verdicts: Counter[str] = Counter()
     for verdict, _, count, _ in rows:
         verdicts[verdict] += count
@@ -586,20 +588,20 @@ def _count_day(day: int, rows: list[tuple[str, bool, int, float | None]]) -> Sig
     )
 
 
-def _next_id(connection: Connection, camera: str) -> str:
+def _make_epoch_id(connection: Connection, camera: str) -> str:
     """Return an id for a new pose epoch; rows that cannot be read are counted, for their ids are taken."""
     count = select(func.count()).select_from(tables.pose_epoch).where(tables.pose_epoch.c.camera == camera)
     return f"{camera}-{(connection.scalar(count) or 0) + 1}"
 
 
-def _first_answered(connection: Connection, pose_epoch: str) -> datetime | None:
+def _read_first_answer_time(connection: Connection, pose_epoch: str) -> datetime | None:
     """Return from when on a calibration of a pose epoch answered; None where none did."""
     c = tables.calibration.c
     filters = (c.pose_epoch == pose_epoch, c.state.in_(SERVED))
     return connection.scalar(select(c.valid_from).where(*filters).order_by(c.valid_from).limit(1))
 
 
-def _filters(
+def _make_filters(
     camera: str | None,
     *,
     since: datetime | None = None,
@@ -623,7 +625,7 @@ def not_closed() -> ColumnElement[bool]:
     return or_(epochs.ended_at.is_(None), epochs.ended_at > epochs.started_at)
 
 
-def _clock_within(largest_s: float | None) -> list[ColumnElement[bool]]:
+def _clock_error_condition(largest_s: float | None) -> list[ColumnElement[bool]]:
     """Return the condition that a sighting's clock error bound, where one is known, is within a limit."""
     return [] if largest_s is None else [func.coalesce(sun_point.c.clock_error_s, 0.0) <= largest_s]
 

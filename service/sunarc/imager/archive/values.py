@@ -104,7 +104,7 @@ class SunPoint(Returned):
 
     def __post_init__(self) -> None:
         """Refuse an accepted sighting without a pixel."""
-        if self.accepted and not (_finite(self.x_px) and _finite(self.y_px)):
+        if self.accepted and not (_is_finite(self.x_px) and _is_finite(self.y_px)):
             raise InputError(
                 field="x_px, y_px", problem="an accepted sighting without a pixel", remedy="give finite numbers"
             )
@@ -490,7 +490,7 @@ def field_values(value: Any) -> dict[str, Any]:  # noqa: ANN401 - any dataclass
     return {one.name: getattr(value, one.name) for one in fields(value)}
 
 
-def _finite(value: float | None) -> bool:
+def _is_finite(value: float | None) -> bool:
     return value is not None and math.isfinite(value)
 
 
@@ -529,15 +529,15 @@ def merged(one: Housekeeping, other: Housekeeping, *, time: datetime) -> Houseke
     weighted = [part.temperature_c * part.n_temperatures for part in (one, other) if part.temperature_c is not None]
     return Housekeeping(
         time=time,
-        disk_free_bytes=_combine(min, one.disk_free_bytes, other.disk_free_bytes),
-        images_bytes=_combine(max, one.images_bytes, other.images_bytes),
+        disk_free_bytes=_combine_known(min, one.disk_free_bytes, other.disk_free_bytes),
+        images_bytes=_combine_known(max, one.images_bytes, other.images_bytes),
         temperature_c=sum(weighted) / n if n else None,
-        temperature_min_c=_combine(min, one.temperature_min_c, other.temperature_min_c),
-        temperature_max_c=_combine(max, one.temperature_max_c, other.temperature_max_c),
+        temperature_min_c=_combine_known(min, one.temperature_min_c, other.temperature_min_c),
+        temperature_max_c=_combine_known(max, one.temperature_max_c, other.temperature_max_c),
         n_temperatures=n,
     )
 
 
-def _combine(select: Callable[[list[_Number]], _Number], *values: _Number | None) -> _Number | None:
+def _combine_known(select: Callable[[list[_Number]], _Number], *values: _Number | None) -> _Number | None:
     known = [value for value in values if value is not None]
     return select(known) if known else None

@@ -79,9 +79,9 @@ def exposure_control(camera: Any) -> ExposureControl:  # noqa: ANN401 - a GObjec
         unit_us = float(camera.get_float(_RAW_UNIT)) if feature == _RAW and features.has(camera, _RAW_UNIT) else 1.0
         with contextlib.suppress(Exception):  # a few cameras hold whole microseconds: refused as a float
             bounds = camera.get_float_bounds(feature)
-            return _control(feature, "float", unit_us, bounds, _step(camera.get_float_increment, feature))
+            return _control(feature, "float", unit_us, bounds, _read_step(camera.get_float_increment, feature))
         bounds = camera.get_integer_bounds(feature)
-        return _control(feature, "integer", unit_us, bounds, _step(camera.get_integer_increment, feature))
+        return _control(feature, "integer", unit_us, bounds, _read_step(camera.get_integer_increment, feature))
     raise errors.CameraError(f"the camera's exposure cannot be set: it has none of {', '.join((*_FLOATS, _RAW))}")
 
 
@@ -98,7 +98,7 @@ def _control(
     )
 
 
-def _step(ask: Any, feature: str) -> float:  # noqa: ANN401 - a GObject's method has no types
+def _read_step(ask: Any, feature: str) -> float:  # noqa: ANN401 - a GObject's method has no types
     with contextlib.suppress(Exception):  # vendors' descriptions disagree on whether there is one
         step = float(ask(feature))
         return step if math.isfinite(step) and 1e-6 < step < 1e6 else 0.0
@@ -204,7 +204,7 @@ def open_aravis(options: AravisOptions, clock: Clock) -> AravisCamera:
     ConfigurationError, InputError
         Aravis is not installed, or the camera cannot be set up as asked.
     """
-    camera = AravisCamera(options, clock, library=_library())
+    camera = AravisCamera(options, clock, library=_import_aravis())
     try:
         camera.connect()
     except errors.SunarcError as error:
@@ -249,7 +249,7 @@ class AravisCamera:
     def connect(self) -> None:
         """Take control, pin the settings and start acquisition; `close` afterwards, also if this fails."""
         address = self._options.address
-        with self._translated(f"opening the camera at {address}"):
+        with self._translate_errors(f"opening the camera at {address}"):
             for unused in _INTERFACES - {_INTERFACE_OF[self._options.transport]}:
                 self._aravis.disable_interface(unused)  # a GigE camera that is not found is not looked for elsewhere
             self._camera = self._aravis.Camera.new(address)
@@ -265,7 +265,7 @@ class AravisCamera:
             self._exposure = exposure_control(self._camera)
             self._noted = NotedExposure(self._camera, self._exposure, error=self._glib.Error)
             self._open_stream(self._options.packet_size)
-            self._info = self._describe(self._exposure)
+            self._info = self._read_camera_info(self._exposure)
             self._start_with_fitting_packets(self._exposure)
         _log.info("opened %s", self._info)
 
@@ -273,23 +273,23 @@ class AravisCamera:
         """Expose once, within the camera's bounds, and return the frame (see `SkyCamera`)."""
         info = self.info
         self._require_control()
-        with self._translated("exposing"):
+        with self._translate_errors("exposing"):
             if self._is_suspect:
                 self._resynchronise()
             self._is_suspect = True
             before_us, self._exposure_us = self._exposure_us, self._control.set(self._camera, exposure_us)
             actual_us = require_taken(self._exposure_us, self._control.bounds.nearest(exposure_us), before_us=before_us)
-            self._flush()
+            self._return_stale_frames()
             triggered_at = self._clock.now()
             self._camera.software_trigger()
-            frame = self._pop(info, actual_us, triggered_at)
+            frame = self._wait_for_frame(info, actual_us, triggered_at)
             self._is_suspect = False
         return frame
 
     def raise_gain(self, by_db: float) -> None:
         """Raise the gain by decibels, and read it back (see `GainCamera`)."""
         self._require_control()
-        with self._translated("setting the gain"):
+        with self._translate_errors("setting the gain"):
             self._pins = features.raise_gain_by(self._camera, self._pins, self._day_gain_db, by_db=by_db)
 
     def restore_gain(self) -> None:
@@ -303,7 +303,7 @@ class AravisCamera:
     def check(self) -> CameraCondition:
         """Ask for every pinned setting (see `SkyCamera`)."""
         self._require_control()
-        with self._translated("asking for the settings"):
+        with self._translate_errors("asking for the settings"):
             changed = list(features.changed_pins(self._camera, self._pins))
             if changed:
                 raise errors.CameraLostError(
@@ -316,7 +316,7 @@ class AravisCamera:
 
     def abilities(self) -> tuple[tuple[str, str], ...]:
         """Return the camera's abilities: name and description of each."""
-        with self._translated("asking what the camera can do"):
+        with self._translate_errors("asking what the camera can do"):
             noted = self._noted is not None and self._noted.from_frame
             return tuple(list_abilities(self._camera, exposure=self._control, pins=self._pins, notes_exposures=noted))
 
@@ -346,7 +346,7 @@ class AravisCamera:
         if self._lost.is_set():
             raise errors.CameraLostError(f"the camera at {self.info.address} no longer answers")
 
-    def _describe(self, exposure: ExposureControl) -> CameraInfo:
+    def _read_camera_info(self, exposure: ExposureControl) -> CameraInfo:
         camera = self._camera
         pixel_format = str(camera.get_pixel_format_as_string())
         _, _, width, height = camera.get_region()
@@ -382,11 +382,11 @@ class AravisCamera:
             # granted up to net.core.rmem_max
             self._stream.set_property("socket-buffer-size", features.PREFERRED_BUFFER_BYTES)
             self._stream.set_property("socket-buffer", aravis.GvStreamSocketBuffer.FIXED)
-            self._tell_link(payload)
+            self._log_link(payload)
         for _ in range(_BUFFERS):
             self._stream.push_buffer(aravis.Buffer.new_allocate(payload))
 
-    def _tell_link(self, payload: int) -> None:
+    def _log_link(self, payload: int) -> None:
         """Log how the stream is received, and the causes of lost packets."""
         self.link = features.link_to(
             self._options.address,
@@ -400,25 +400,25 @@ class AravisCamera:
 
     def _start_with_fitting_packets(self, exposure: ExposureControl) -> None:
         """Start; where frames come and none is whole, with packets that every network passes, if that helps."""
-        if self._started(exposure) != "incomplete":
+        if self._start_and_discard_frames(exposure) != "incomplete":
             return
         large = self.link.packet_bytes if self.link is not None else 0
         if large <= features.PASSED_EVERYWHERE_BYTES:
             return
         self._restart_stream(features.PASSED_EVERYWHERE_BYTES)
-        if self._started(exposure) == "whole":
+        if self._start_and_discard_frames(exposure) == "whole":
             self._info = replace(self.info, packet_bytes=features.PASSED_EVERYWHERE_BYTES, packet_bytes_lost=large)
             _log.warning("stream: no frame came whole with packets of %d bytes; smaller ones are used", large)
         else:
             self._restart_stream(large)
-            self._started(exposure)
+            self._start_and_discard_frames(exposure)
 
     def _restart_stream(self, packet_size: int) -> None:
         self._camera.stop_acquisition()
         self._stream = None  # the camera sends to one at a time
         self._open_stream(packet_size)
 
-    def _started(self, exposure: ExposureControl) -> Literal["whole", "incomplete", "silent"]:
+    def _start_and_discard_frames(self, exposure: ExposureControl) -> Literal["whole", "incomplete", "silent"]:
         """Start acquisition, and take and discard the first frames; return whether any of them came, and came whole."""
         self._camera.start_acquisition()
         self._exposure_us = exposure.set(self._camera, exposure.bounds.minimum_us)
@@ -433,7 +433,7 @@ class AravisCamera:
             self._stream.push_buffer(buffer)
         return "whole" if whole else "incomplete"
 
-    def _flush(self) -> None:
+    def _return_stale_frames(self) -> None:
         """Return unclaimed frames to the stream."""
         while (buffer := self._stream.try_pop_buffer()) is not None:
             self._stream.push_buffer(buffer)
@@ -444,22 +444,22 @@ class AravisCamera:
         if late is not None:
             self._stream.push_buffer(late)
         self._camera.stop_acquisition()
-        self._flush()
-        if self._started(self._control) == "silent":
-            raise self._silent()
+        self._return_stale_frames()
+        if self._start_and_discard_frames(self._control) == "silent":
+            raise self._silence_error()
 
-    def _pop(self, info: CameraInfo, exposure_us: float, triggered_at: datetime) -> Frame:
+    def _wait_for_frame(self, info: CameraInfo, exposure_us: float, triggered_at: datetime) -> Frame:
         buffer = self._stream.timeout_pop_buffer(int(exposure_us + self._options.answer_timeout_s * 1e6))
         if buffer is None:
             if self._lost.is_set():
                 raise errors.CameraLostError("the camera no longer answers")
-            raise self._silent()
+            raise self._silence_error()
         try:
             return self._check_frame(buffer, info, exposure_us, triggered_at)
         finally:
             self._stream.push_buffer(buffer)
 
-    def _silent(self) -> errors.CameraSilentError:
+    def _silence_error(self) -> errors.CameraSilentError:
         return errors.CameraSilentError(
             f"no frame came within {self._options.answer_timeout_s:g} s of the exposure's end"
         )
@@ -501,7 +501,7 @@ class AravisCamera:
         )
 
     @contextmanager
-    def _translated(self, doing: str) -> Iterator[None]:
+    def _translate_errors(self, doing: str) -> Iterator[None]:
         """Turn the library's errors into ours: a command that stays unanswered means that the camera is gone."""
         missing = self._aravis.DeviceError
         try:
@@ -516,7 +516,7 @@ class AravisCamera:
             raise errors.CameraError(f"{doing}: {error.message}") from error
 
 
-def _library() -> tuple[Any, Any]:
+def _import_aravis() -> tuple[Any, Any]:
     """Return Aravis and GLib as their introspection gives them, untyped."""
     try:
         with warnings.catch_warnings():
@@ -592,12 +592,12 @@ def decode_frame(data: bytes, info: CameraInfo) -> Image:
             f"a frame of {len(data)} bytes came, {expected} bytes in {info.pixel_format} are expected"
         )
     if packing is not None:
-        return _read_only(unpack(data, packing, count)).reshape(info.height, info.width)
+        return _make_read_only(unpack(data, packing, count)).reshape(info.height, info.width)
     flat = np.frombuffer(data, np.uint8, count) if depth == 1 else np.frombuffer(data, np.uint16, count)
     return flat.reshape(info.height, info.width)
 
 
-def _read_only(image: Image) -> Image:
+def _make_read_only(image: Image) -> Image:
     image.flags.writeable = False
     return image
 

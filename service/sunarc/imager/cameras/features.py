@@ -98,14 +98,19 @@ def pin_settings(camera: Any, options: AravisOptions) -> tuple[Pin, ...]:  # noq
     ConfigurationError
         The camera lacks the pixel format, or the region does not fit.
     """
-    _stop(camera)
-    pins = [*_require(camera), *_choose(camera), *_switch_off(camera), *_set_binning(camera, options.binning)]
+    _stop_acquisition(camera)
+    pins = [
+        *_write_required(camera),
+        *_write_preferred(camera),
+        *_switch_off_processing(camera),
+        *_set_binning(camera, options.binning),
+    ]
     _set_pixel_format(camera, options.pixel_format)
     _set_region(camera, options.region)
     pins += _set_levels(camera, options)
     camera.set_trigger("Software")  # after everything that deals with the frame rate, which would undo it
     pins += [read_pin(camera, name) for name in _NEUTRAL_UNKNOWN if has(camera, name)]
-    return (*pins, *(_hold(camera, name, kind) for name, kind in _AS_THEY_ARE if has(camera, name)))
+    return (*pins, *(_read_as_pin(camera, name, kind) for name, kind in _AS_THEY_ARE if has(camera, name)))
 
 
 def changed_pins(camera: Any, pins: tuple[Pin, ...]) -> Iterator[str]:  # noqa: ANN401 - a GObject has no types
@@ -132,8 +137,8 @@ def read_pin(camera: Any, name: str) -> Pin:  # noqa: ANN401 - a GObject has no 
     kinds: tuple[Kind, ...] = ("float", "integer", "boolean", "string")
     for kind in kinds[:-1]:
         with contextlib.suppress(Exception):  # asked as another kind than it is, a feature is refused
-            return _hold(camera, name, kind)
-    return _hold(camera, name, "string")
+            return _read_as_pin(camera, name, kind)
+    return _read_as_pin(camera, name, "string")
 
 
 def read(camera: Any, name: str, kind: Kind) -> Value:  # noqa: ANN401 - a GObject has no types
@@ -145,7 +150,7 @@ def read(camera: Any, name: str, kind: Kind) -> Value:  # noqa: ANN401 - a GObje
 def write(camera: Any, name: str, kind: Kind, value: Value) -> Pin:  # noqa: ANN401 - a GObject has no types
     """Write a feature and return the camera's value of it."""
     getattr(camera, f"set_{kind}")(name, value)
-    return _hold(camera, name, kind)
+    return _read_as_pin(camera, name, kind)
 
 
 def write_if_other(camera: Any, name: str, kind: Kind, value: Value) -> Pin:  # noqa: ANN401 - as above
@@ -153,7 +158,7 @@ def write_if_other(camera: Any, name: str, kind: Kind, value: Value) -> Pin:  # 
 
     Many features are locked while others have a certain value: one that need not be written is not.
     """
-    present = _hold(camera, name, kind)
+    present = _read_as_pin(camera, name, kind)
     if present.value == value:
         return present
     _log.info("setting %s from %s to %s", name, present.value, value)
@@ -164,7 +169,7 @@ def write_or_keep(camera: Any, name: str, kind: Kind, value: Value) -> Pin:  # n
     """Set an optional feature; where the camera refuses, keep the value that it has."""
     with contextlib.suppress(Exception):  # read-only, or locked; a lost camera fails again at the reading
         return write_if_other(camera, name, kind, value)
-    present = _hold(camera, name, kind)
+    present = _read_as_pin(camera, name, kind)
     _log.warning("the camera refuses %s = %s and keeps %s; frames are taken with that", name, value, present.value)
     return present
 
@@ -220,11 +225,11 @@ def raise_gain_by(
     return tuple(pin if one.name == "Gain" else one for one in pins)
 
 
-def _hold(camera: Any, name: str, kind: Kind) -> Pin:  # noqa: ANN401 - a GObject has no types
+def _read_as_pin(camera: Any, name: str, kind: Kind) -> Pin:  # noqa: ANN401 - a GObject has no types
     return Pin(name=name, kind=kind, value=read(camera, name, kind))
 
 
-def _stop(camera: Any) -> None:  # noqa: ANN401 - a GObject has no types
+def _stop_acquisition(camera: Any) -> None:  # noqa: ANN401 - a GObject has no types
     """Leave the state of an earlier run: acquisition and triggers lock other features, also after a kill."""
     for command in (camera.stop_acquisition, camera.clear_triggers):
         try:
@@ -233,23 +238,23 @@ def _stop(camera: Any) -> None:  # noqa: ANN401 - a GObject has no types
             _log.debug("stopping the camera: %s", error)
 
 
-def _require(camera: Any) -> Iterator[Pin]:  # noqa: ANN401 - a GObject has no types
+def _write_required(camera: Any) -> Iterator[Pin]:  # noqa: ANN401 - a GObject has no types
     for name, choice in _REQUIRED:
-        if _offers(camera, name, choice):
+        if _offers_choice(camera, name, choice):
             yield write_if_other(camera, name, "string", choice)
 
 
-def _choose(camera: Any) -> Iterator[Pin]:  # noqa: ANN401 - a GObject has no types
+def _write_preferred(camera: Any) -> Iterator[Pin]:  # noqa: ANN401 - a GObject has no types
     for name, choice in _CHOICES:
-        if _offers(camera, name, choice):
+        if _offers_choice(camera, name, choice):
             yield write_or_keep(camera, name, "string", choice)
 
 
-def _offers(camera: Any, name: str, choice: str) -> bool:  # noqa: ANN401 - a GObject has no types
+def _offers_choice(camera: Any, name: str, choice: str) -> bool:  # noqa: ANN401 - a GObject has no types
     return has(camera, name) and bool(camera.is_enumeration_entry_available(name, choice))
 
 
-def _switch_off(camera: Any) -> Iterator[Pin]:  # noqa: ANN401 - a GObject has no types
+def _switch_off_processing(camera: Any) -> Iterator[Pin]:  # noqa: ANN401 - a GObject has no types
     for name in _SWITCHED_OFF:
         if has(camera, name):
             yield write_or_keep(camera, name, "boolean", value=False)
@@ -368,10 +373,10 @@ class Link:
         way = (
             "a packet socket (CAP_NET_RAW)"
             if self.packet_socket
-            else f"UDP with a socket buffer of up to {_mb(self.buffer_limit_bytes)}"
+            else f"UDP with a socket buffer of up to {_format_mb(self.buffer_limit_bytes)}"
         )
         route = "" if self.mtu is None else f" (the route takes {self.mtu})"
-        return f"packets of {self.packet_bytes} bytes{route}, frames of {_mb(self.frame_bytes)} through {way}"
+        return f"packets of {self.packet_bytes} bytes{route}, frames of {_format_mb(self.frame_bytes)} through {way}"
 
     @property
     def complaints(self) -> tuple[str, ...]:
@@ -386,7 +391,8 @@ class Link:
         if not self.packet_socket and limit < 2 * self.frame_bytes:
             preferred = max(PREFERRED_BUFFER_BYTES, 1 << (2 * self.frame_bytes - 1).bit_length())
             complaints.append(
-                f"a socket may buffer {_mb(limit)} and a frame has {_mb(self.frame_bytes)}: packets are lost when the "
+                f"a socket may buffer {_format_mb(limit)} and a frame has "
+                f"{_format_mb(self.frame_bytes)}: packets are lost when the "
                 f"host is busy; run: sysctl -w net.core.rmem_max={preferred}, or give the service CAP_NET_RAW"
             )
         return tuple(complaints)
@@ -430,5 +436,5 @@ def buffer_limit() -> int:
         return probe.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2
 
 
-def _mb(size_bytes: int) -> str:
+def _format_mb(size_bytes: int) -> str:
     return f"{size_bytes / 1e6:.3g} MB"

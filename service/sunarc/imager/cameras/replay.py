@@ -46,16 +46,17 @@ class ReplayCamera:
     def __init__(self, options: ReplayOptions) -> None:
         self._options = options
         self.skipped: list[SkippedFile] = []
-        self._files = self._dated_files()
-        self._pending = self._readable_frames()
+        self._files = self._list_dated_files()
+        self._pending = self._read_frames()
         self._next = next(self._pending, None)
         if self._next is None:
+            skipped = self._summarise_skipped() or "it is empty"
             raise InputError(
                 field="folder",
-                problem=f"{options.folder} has no image that could be played ({self._reasons() or 'it is empty'})",
+                problem=f"{options.folder} has no image that could be played ({skipped})",
                 remedy="name images as 20130513T173000.250Z_12000us.png",
             )
-        self._info = self._describe(self._next)
+        self._info = self._make_camera_info(self._next)
 
     @property
     def info(self) -> CameraInfo:
@@ -82,35 +83,35 @@ class ReplayCamera:
         self._pending = iter(())
         self._next = None
 
-    def _dated_files(self) -> list[tuple[datetime, float, Path]]:
+    def _list_dated_files(self) -> list[tuple[datetime, float, Path]]:
         dated = []
         for path in sorted(self._options.folder.rglob("*")):
             if find_kind(path.name) != "picture":
                 continue
             time, exposure_us = parse_name_time(path.name), parse_name_exposure(path.name) or self._options.exposure_us
             if time is None:
-                self._skip(path, "no time in its name")
+                self._note_skipped(path, "no time in its name")
             elif exposure_us is None:
-                self._skip(path, "no exposure in its name")
+                self._note_skipped(path, "no exposure in its name")
             else:
                 dated.append((time, exposure_us, path))
         return sorted(dated)
 
-    def _readable_frames(self) -> Iterator[Frame]:
+    def _read_frames(self) -> Iterator[Frame]:
         shape: tuple[int, ...] | None = None
         for number, (time, exposure_us, path) in enumerate(self._files, start=1):
             try:
                 image = decoded(read_regular(path))
             except OSError:  # taken away since the folder was listed
                 image = None
-            reason = _unusable(image, shape, self._options.pixel_format)
+            reason = _find_fault(image, shape, self._options.pixel_format)
             if image is None or reason is not None:
-                self._skip(path, reason or "not readable")
+                self._note_skipped(path, reason or "not readable")
                 continue
             shape = image.shape
-            yield self._frame(cast("Image", image), time=time, exposure_us=exposure_us, number=number)
+            yield self._make_frame(cast("Image", image), time=time, exposure_us=exposure_us, number=number)
 
-    def _frame(self, image: Image, *, time: datetime, exposure_us: float, number: int) -> Frame:
+    def _make_frame(self, image: Image, *, time: datetime, exposure_us: float, number: int) -> Frame:
         pixel_format = self._options.pixel_format or ("Mono8" if image.dtype == np.uint8 else "Mono16")
         image.flags.writeable = False
         return Frame(
@@ -123,7 +124,7 @@ class ReplayCamera:
             frame_id=number,
         )
 
-    def _describe(self, first: Frame) -> CameraInfo:
+    def _make_camera_info(self, first: Frame) -> CameraInfo:
         exposures = [exposure_us for _, exposure_us, _ in self._files]
         height, width = first.image.shape
         return CameraInfo(
@@ -140,10 +141,10 @@ class ReplayCamera:
             exposure_step_us=0.0,
         )
 
-    def _skip(self, path: Path, reason: str) -> None:
+    def _note_skipped(self, path: Path, reason: str) -> None:
         self.skipped.append(SkippedFile(path=path, reason=reason))
 
-    def _reasons(self) -> str:
+    def _summarise_skipped(self) -> str:
         counts = Counter(skipped.reason for skipped in self.skipped)
         return ", ".join(f"{count}× {reason}" for reason, count in counts.items())
 
@@ -166,7 +167,7 @@ def parse_name_time(name: str) -> datetime | None:
         return None
 
 
-def _unusable(image: object, shape: tuple[int, ...] | None, pixel_format: str | None) -> str | None:
+def _find_fault(image: object, shape: tuple[int, ...] | None, pixel_format: str | None) -> str | None:
     """Return why an image cannot be played, None if it can."""
     if not isinstance(image, np.ndarray):
         return "not readable"

@@ -76,12 +76,12 @@ def export_everything(state: Path, folder: Path) -> dict[str, int]:
             raise InputError(field="folder", problem=f"{folder} is not empty", remedy="name a new folder")
         with open_archive(database_path(state)) as archive:
             (folder / "calibrations").mkdir(parents=True, exist_ok=True)
-            return _write(archive, folder)
+            return _write_tables(archive, folder)
     except OSError as error:
         raise OutsideError(f"cannot write to {folder}: {error.strerror}; free some space, or name another") from None
 
 
-def _write(archive: Archive, folder: Path) -> dict[str, int]:
+def _write_tables(archive: Archive, folder: Path) -> dict[str, int]:
     cameras = archive.cameras.all()
     names = [camera.name for camera in cameras]
     points = [point for name in names for point in archive.sightings.find(name, body=None)]
@@ -116,7 +116,7 @@ def _write_housekeeping(archive: Archive, folder: Path, cameras: Sequence[str], 
     return _write_csv(folder / f"housekeeping_{step}.csv", Housekeeping, rows)
 
 
-def _columns(kind: type[Any]) -> list[str]:
+def _list_columns(kind: type[Any]) -> list[str]:
     """Return the names of a table's columns: its fields; sentences stand where findings do, which come last."""
     names = [field.name for field in fields(kind)]
     sentences = "reason" if kind is SunPoint else "reasons"
@@ -126,7 +126,7 @@ def _columns(kind: type[Any]) -> list[str]:
 
 
 def _write_csv(path: Path, kind: type[Any], values: Iterable[Any]) -> int:
-    names = _columns(kind)
+    names = _list_columns(kind)
     written = 0
     with path.open("w", newline="") as file:
         writer = csv.writer(file)
@@ -209,7 +209,7 @@ def import_points(settings: Settings, path: Path, *, image_size: tuple[int, int]
         another one.
     """
     table = read_sightings(read_lines(path), name=path.name, site=settings.place)
-    size = image_size or _size_in_archive(settings) or _size_in_settings(settings)
+    size = image_size or _read_archive_size(settings) or _get_settings_size(settings)
     if size is None:
         raise InputError(
             field="--image-size",
@@ -224,7 +224,7 @@ def import_points(settings: Settings, path: Path, *, image_size: tuple[int, int]
         register_camera(archive, settings, size)
         imported = Finding("sighting_imported", {"file": path.name})
         return (
-            archive.sightings.add(_points(settings, table, imported), first_epoch=joined([imported])),
+            archive.sightings.add(_make_sightings(settings, table, imported), first_epoch=joined([imported])),
             total,
             total - len(table),
         )
@@ -244,7 +244,7 @@ def write_points(settings: Settings, target: TextIO, *, since: datetime | None, 
     return write_sightings(target, rows, air=air, directions=directions)
 
 
-def _size_in_archive(settings: Settings) -> tuple[int, int] | None:
+def _read_archive_size(settings: Settings) -> tuple[int, int] | None:
     if settings.store is None:
         if not settings.database.is_file() or settings.database.stat().st_size == 0:
             return None
@@ -254,12 +254,12 @@ def _size_in_archive(settings: Settings) -> tuple[int, int] | None:
     return None if known is None else known.image_size
 
 
-def _size_in_settings(settings: Settings) -> tuple[int, int] | None:
+def _get_settings_size(settings: Settings) -> tuple[int, int] | None:
     region = None if settings.camera is None else settings.camera.region
     return None if region is None else (region[2], region[3])
 
 
-def _points(settings: Settings, table: Sightings, imported: Finding) -> list[SunPoint]:
+def _make_sightings(settings: Settings, table: Sightings, imported: Finding) -> list[SunPoint]:
     times = [utc_time(t) for t in table.unix_s]
     return [
         SunPoint(

@@ -69,11 +69,11 @@ def calibrate_archive(
                     remedy="fill it with sunarc ingest or sunarc points import",
                 )
             _require_level(archive, settings)
-            worker = _worker(archive, settings, clock)
+            worker = _new_refit_worker(archive, settings, clock)
             worker.keep_provisional = keep_provisional
             if clock_error_s is not None:
                 worker.clock_error_s, worker.clock_assumed = clock_error_s, False
-            refit = _carried_out(worker)
+            refit = _carry_out_waiting(worker)
             if refit.calibration is None:
                 return refit, None
             if refit.state == "accepted":
@@ -94,7 +94,7 @@ def _require_level(archive: Archive, settings: Settings) -> None:
     require_level(served.pose.theta_zz_deg, settings.calibration.level_within_deg, field=field, name=name)
 
 
-def _worker(archive: Archive, settings: Settings, clock: Clock) -> RefitWorker:
+def _new_refit_worker(archive: Archive, settings: Settings, clock: Clock) -> RefitWorker:
     """Return the worker that fits the archive's sightings by the settings."""
     started_at = clock.now()
     return RefitWorker(
@@ -110,7 +110,7 @@ def _worker(archive: Archive, settings: Settings, clock: Clock) -> RefitWorker:
     )
 
 
-def _carried_out(worker: RefitWorker) -> Refit:
+def _carry_out_waiting(worker: RefitWorker) -> Refit:
     """Return a refit that was requested and is finished; one that is interrupted has failed, and is not begun again."""
     archive, clock = worker.camera.archive, worker.clock
     refit = Refit.asked(worker.camera.name, "sunarc calibrate", at=clock.now())
@@ -181,7 +181,7 @@ def reproduce_calibration(past: Calibration, points: Sightings) -> Calibration:
             points,
             site=past.site,
             image_size=(past.camera.width, past.camera.height),
-            options=_options(evidence.options),
+            options=_parse_stored_options(evidence.options),
             circle=None if evidence.circle is None else ImageCircle(**_arguments_from_json(evidence.circle)),
             start=None if evidence.start is None else Camera(**_arguments_from_json(evidence.start)),
         )
@@ -193,7 +193,7 @@ def reproduce_calibration(past: Calibration, points: Sightings) -> Calibration:
     return add_pose_spread(solved, evidence.pose_spread_deg or (0.0, 0.0, 0.0))
 
 
-def _options(stored: Mapping[str, object]) -> CalibrationOptions:
+def _parse_stored_options(stored: Mapping[str, object]) -> CalibrationOptions:
     if not stored:
         raise InputError(field="evidence.options", problem="are empty", remedy="name a calibration that a fit made")
     named = _arguments_from_json(stored)

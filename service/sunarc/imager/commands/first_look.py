@@ -137,10 +137,10 @@ def judge_site(pictures: Sequence[TriedPicture], site: Site) -> Finding:
     times = [one.time.timestamp() for one in pictures if one.shows_sun and one.time is not None]
     if not times:
         return Finding("site_not_held")
-    below = _below_horizon(np.array(times), site)
+    below = _count_below_horizon(np.array(times), site)
     if below == 0:
         return Finding("site_agrees", {"suns": len(times)})
-    explaining = [slip for slip, then in _slips(np.array(times), site, below) if then <= _EXPLAINED * below]
+    explaining = [slip for slip, then in _find_slips(np.array(times), site, below) if then <= _EXPLAINED * below]
     if len(explaining) == 1 and below >= _LEAST_NAMED:
         return explaining[0]
     if below > _MOST_LIGHTS * len(times):
@@ -148,18 +148,18 @@ def judge_site(pictures: Sequence[TriedPicture], site: Site) -> Finding:
     return Finding("site_sun_down_in_some", {"below": below, "suns": len(times)})
 
 
-def _slips(times: FloatArray, site: Site, below: int) -> Iterator[tuple[Finding, int]]:
+def _find_slips(times: FloatArray, site: Site, below: int) -> Iterator[tuple[Finding, int]]:
     """Yield the slips that may have been made, each with the number of suns that would then be below the horizon."""
     suns, north, east = times.size, site.latitude, site.longitude
-    then = _below_horizon(times, replace(site, longitude=-east))
+    then = _count_below_horizon(times, replace(site, longitude=-east))
     yield (
         Finding("site_longitude_sign", {"below": below, "suns": suns, "below_then": then, "longitude": -east}),
         then,
     )
-    then = _below_horizon(times, replace(site, latitude=-north))
+    then = _count_below_horizon(times, replace(site, latitude=-north))
     yield Finding("site_latitude_sign", {"below": below, "suns": suns, "below_then": then, "latitude": -north}), then
     if abs(east) <= 90.0:
-        then = _below_horizon(times, replace(site, latitude=east, longitude=north))
+        then = _count_below_horizon(times, replace(site, latitude=east, longitude=north))
         yield (
             Finding(
                 "site_swapped",
@@ -169,7 +169,7 @@ def _slips(times: FloatArray, site: Site, below: int) -> Iterator[tuple[Finding,
         )
 
 
-def _below_horizon(times: FloatArray, site: Site) -> int:
+def _count_below_horizon(times: FloatArray, site: Site) -> int:
     return int(np.count_nonzero(np.asarray(sun_angles(times, site).apparent_zenith) > _HORIZON_DEG))
 
 
@@ -179,7 +179,7 @@ _GREEN, _ORANGE = (0, 200, 0), (0, 140, 255)
 
 def small_picture(image: Image, found: Detection | None) -> bytes:
     """Return a PNG of at most 480 px with a circle about the sun: green where it is accepted, else orange."""
-    canvas: NDArray[np.uint8] = preview(image) if image.ndim == 2 else _eight_bits(image)
+    canvas: NDArray[np.uint8] = preview(image) if image.ndim == 2 else _convert_to_eight_bits(image)
     scale = min(1.0, _SMALL_SIDE / max(canvas.shape[:2]))
     size = max(1, round(scale * canvas.shape[1])), max(1, round(scale * canvas.shape[0]))
     small = cv2.resize(canvas, size, interpolation=cv2.INTER_AREA)
@@ -192,5 +192,5 @@ def small_picture(image: Image, found: Detection | None) -> bytes:
     return cv2.imencode(".png", small)[1].tobytes()
 
 
-def _eight_bits(image: Image) -> NDArray[np.uint8]:
+def _convert_to_eight_bits(image: Image) -> NDArray[np.uint8]:
     return image if image.dtype == np.uint8 else (image // 256).astype(np.uint8)  # type: ignore[return-value]

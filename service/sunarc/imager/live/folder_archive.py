@@ -114,12 +114,12 @@ class FolderArchiveWorker:
         with self._lock:
             self._older = tuple(sorted((*self._older, *files), key=changed_s, reverse=True))
         with suppress(OutsideError):  # the database refuses for a while
-            self._remember()
+            self._note_day_and_calibration()
 
     @property
     def is_busy(self) -> bool:
         """Return whether an analysis is going on or due."""
-        return self._working or (not self._rests and (bool(self._older) or self._is_due()))
+        return self._working or (not self._is_pausing and (bool(self._older) or self._is_due()))
 
     @property
     def holds_all_days(self) -> bool:
@@ -129,10 +129,12 @@ class FolderArchiveWorker:
     def waiting_days(self, others: Container[date]) -> Container[date]:
         """Return the days of which older images are still to be analysed, and other ones that wait."""
         older = self._older
-        return others if self._rests or not older else DaysUntil(self._mean_solar_date(changed_s(older[0])), others)
+        return (
+            others if self._is_pausing or not older else DaysUntil(self._mean_solar_date(changed_s(older[0])), others)
+        )
 
     @property
-    def _rests(self) -> bool:
+    def _is_pausing(self) -> bool:
         """Return whether an analysis failed a while ago: meanwhile days are judged by the stored sightings."""
         return self.clock.monotonic() < self._rests_until_s
 
@@ -145,19 +147,19 @@ class FolderArchiveWorker:
 
     def step(self, stop: threading.Event, heartbeat: Callable[[], None]) -> bool:
         """Analyse the folder if there is a reason to; return whether that was done."""
-        if self.analysis is None or self._rests or not (self._older or self._is_due()):
+        if self.analysis is None or self._is_pausing or not (self._older or self._is_due()):
             return False
         files = self._older[:_PORTION]
         self._working = True
         self.board.set_condition(_FAILED, None)
         try:
-            answer = self._analyse(self.analysis, files, stop, heartbeat)
+            answer = self._run_analysis(self.analysis, files, stop, heartbeat)
             if answer is True:
-                self._succeeded(files)
+                self._mark_seen(files)
             elif answer is not None:
-                self._fail(str(answer))
+                self._note_failure(str(answer))
         except (OutsideError, SolverDiedError, SolveFailedError) as error:
-            self._fail(str(error))
+            self._note_failure(str(error))
         finally:
             self._working = False
             self.board.set_condition(_IN_WORK, None)
@@ -165,7 +167,7 @@ class FolderArchiveWorker:
 
     def _is_due(self) -> bool:
         """Return whether a day has ended without a calibration, or the first one is there."""
-        self._remember()
+        self._note_day_and_calibration()
         today = self._current_solar_date()
         if self._calibrated and self._has_calibration():
             self._analysed = today
@@ -173,7 +175,7 @@ class FolderArchiveWorker:
         known = self.camera.archive.cameras.get(self.camera.name) is not None
         return known and (today != self._analysed or self._calibrated != self._has_calibration())
 
-    def _remember(self) -> None:
+    def _note_day_and_calibration(self) -> None:
         """Take note of the day and of whether there is a calibration, the first time."""
         if self._analysed is None:
             self._analysed, self._calibrated = self._current_solar_date(), self._has_calibration()
@@ -188,7 +190,7 @@ class FolderArchiveWorker:
     def _has_calibration(self) -> bool:
         return self.camera.archive.calibrations.current(self.camera.name) is not None
 
-    def _analyse(
+    def _run_analysis(
         self,
         analysis: FolderAnalysis,
         files: Sequence[SourceFile],
@@ -199,7 +201,7 @@ class FolderArchiveWorker:
         call = partial(analysis, self.settings, rules=self.rules, only=only)
         before, next_s = self._count_stored(), self.clock.monotonic()
 
-        def show() -> None:
+        def report_progress() -> None:
             nonlocal next_s
             heartbeat()
             if files and self.clock.monotonic() >= next_s:
@@ -207,13 +209,13 @@ class FolderArchiveWorker:
                 found = Finding(_IN_WORK, {"n": len(self._older), "stored": self._count_stored() - before})
                 self.board.set_condition(_IN_WORK, Reason.of(found))
 
-        return in_child(call, ChildControl(self.clock, _LONGEST_S, stop, show))
+        return in_child(call, ChildControl(self.clock, _LONGEST_S, stop, report_progress))
 
     def _count_stored(self) -> int:
         until = self.frame_time.now() + timedelta(days=1)
         return sum(self.camera.archive.sightings.count(self.camera.name, since=EPOCH, until=until).values())
 
-    def _succeeded(self, files: Sequence[SourceFile]) -> None:
+    def _mark_seen(self, files: Sequence[SourceFile]) -> None:
         """Write the files down as seen: a run that is broken off begins again with those that it had not stored."""
         seen = (SeenFile(camera=self.camera.name, file=one.name, stamp=one.stamp) for one in files)
         self.camera.archive.seen_files.add(seen)
@@ -225,6 +227,6 @@ class FolderArchiveWorker:
             self._analysed, self._calibrated = self._current_solar_date(), self._has_calibration()
         self._attempts.succeeded()
 
-    def _fail(self, error: str) -> None:
+    def _note_failure(self, error: str) -> None:
         _log.warning("the older images of %s could not be analysed: %s", self.options.path, error)
         self._rests_until_s = self.clock.monotonic() + self._attempts.failed(error)

@@ -137,15 +137,15 @@ class AheadOfClock:
 
     def note(self, name: str, ahead_s: float) -> None:
         """Take note of an image that is so far ahead, s."""
-        self._due[name] = self._set_s() + ahead_s
+        self._due[name] = self._clock_setting_s() + ahead_s
 
     def passed(self) -> list[str]:
         """Return, once, the images that are not ahead of the clock as it was set since."""
-        set_s = self._set_s()
+        set_s = self._clock_setting_s()
         names = [name for name, due_s in self._due.items() if set_s >= due_s]
         for name in names:
             del self._due[name]
         return names
 
-    def _set_s(self) -> float:
+    def _clock_setting_s(self) -> float:
         return self._clock.now().timestamp() - self._clock.monotonic()

@@ -38,7 +38,7 @@ def is_image(name: str, pattern: str) -> bool:
     return find_kind(name) in ONE_IMAGE and not is_derived(name) and fnmatch.fnmatch(PurePosixPath(name).name, pattern)
 
 
-class _Folder(NamedTuple):
+class _FolderState(NamedTuple):
     """State of a subfolder: the time of its last change when it was listed, and its own subfolders."""
 
     changed_ns: int
@@ -66,7 +66,7 @@ class FolderListing:
 
     def __init__(self, root: Path, pattern: str) -> None:
         self._root, self._pattern = root, pattern
-        self._known: dict[str, _Folder] = {}
+        self._known: dict[str, _FolderState] = {}
         self._device: tuple[int, int] | None = None
         self.denied: DeniedFolder | None = None
 
@@ -83,13 +83,15 @@ class FolderListing:
         os.scandir(self._root).close()
         self.denied = None
         newest = sorted(self._known, key=lambda name: self._known[name].changed_ns)[-_NEWEST_FOLDERS:]
-        yield from self._below("", {"", *newest}, set(), now_ns)
+        yield from self._list_changed("", {"", *newest}, set(), now_ns)
 
     def forget(self) -> None:
         """List all of it the next time."""
         self._known = {}
 
-    def _below(self, folder: str, again: set[str], above: set[tuple[int, int]], now_ns: int) -> Iterator[SourceFile]:
+    def _list_changed(
+        self, folder: str, again: set[str], above: set[tuple[int, int]], now_ns: int
+    ) -> Iterator[SourceFile]:
         try:
             state = (self._root / name_path(folder)).stat()
             here = (state.st_dev, state.st_ino)
@@ -100,10 +102,10 @@ class FolderListing:
                 with os.scandir(self._root / name_path(folder)) as entries:
                     found = sorted(entries, key=lambda one: one.name)
                 subfolders = tuple(f"{folder}{name_text(one.name)}/" for one in found if _is_folder(one))
-                yield from self._images(folder, found)
+                yield from self._list_images(folder, found)
                 # a name may be added within the resolution of the folder's own time: it is listed again then
                 is_settled = now_ns - state.st_mtime_ns > _COARSE_NS
-                self._known[folder] = known = _Folder(state.st_mtime_ns if is_settled else -1, subfolders)
+                self._known[folder] = known = _FolderState(state.st_mtime_ns if is_settled else -1, subfolders)
         except OSError as error:
             if not folder:
                 raise
@@ -112,7 +114,7 @@ class FolderListing:
             _log.warning("%s/%s cannot be listed: %s", name_text(self._root), folder, error.strerror)
             return
         for one in known.subfolders:
-            yield from self._below(one, again, above | {here}, now_ns)
+            yield from self._list_changed(one, again, above | {here}, now_ns)
 
     def _note_denied(self, folder: str, error: PermissionError) -> None:
         """Keep the subfolder that changed last of those that may not be read."""
@@ -121,7 +123,7 @@ class FolderListing:
             if self.denied is None or changed_ns > self.denied.changed_ns:
                 self.denied = DeniedFolder(folder, changed_ns, error.strerror or str(error))
 
-    def _images(self, folder: str, entries: list[os.DirEntry[str]]) -> Iterator[SourceFile]:
+    def _list_images(self, folder: str, entries: list[os.DirEntry[str]]) -> Iterator[SourceFile]:
         for entry in entries:
             name = folder + name_text(entry.name)
             if is_image(name, self._pattern):

@@ -95,7 +95,7 @@ def ingest_nights(
     record = camera.archive.cameras.get(camera.name)
     if camera.archive.calibrations.current_model(camera.name) is None or record is None:
         without = Finding("nights_without_calibration", {"n": len(images.nights)})
-        return FolderNights(failures=_left_out(images), findings=(without,))
+        return FolderNights(failures=_list_left_out(images), findings=(without,))
     seen = {} if reprocess else {night.date: night.n_images for night in camera.archive.nights.find(camera.name)}
     found, known, failures, done = list[NightOutcome](), 0, list[Failure](), 0
     flips = dict[str, Finding]()
@@ -104,7 +104,7 @@ def ingest_nights(
         if seen.get(night, -1) >= _KNOWN_SHARE * len(some) - 1.0:
             known += len(every)
             continue
-        worker = _worker(camera, settings, now=utc_time(every[-1].unix_s), replaces=reprocess)
+        worker = _new_night_worker(camera, settings, now=utc_time(every[-1].unix_s), replaces=reprocess)
         n_read = 0
         for image in some:
             pixels = read_one_image(open_source(image.address), image.file, image.number, size=record.image_size)
@@ -120,15 +120,15 @@ def ingest_nights(
             progress("naming stars", done, len(images.nights))
         if n_read:
             judged = worker.finish()
-            found.append(_outcome(judged))
+            found.append(_make_outcome(judged))
             flips.update({str(one.data["flip"]): one for one in judged.findings if one.code == "stars_flipped"})
     return FolderNights(looked_at=tuple(found), known=known, failures=tuple(failures), findings=tuple(flips.values()))
 
 
-def _worker(camera: CameraArchive, settings: Settings, *, now: datetime, replaces: bool) -> NightWorker:
+def _new_night_worker(camera: CameraArchive, settings: Settings, *, now: datetime, replaces: bool) -> NightWorker:
     """Return a worker of the night for files: its event is of the night's last image, and asks for no refit."""
 
-    def no_refit(reason: str) -> Refit:
+    def skip_refit(reason: str) -> Refit:
         return Refit(id="", camera=camera.name, requested_at=now, reason=reason)
 
     return NightWorker(
@@ -139,13 +139,13 @@ def _worker(camera: CameraArchive, settings: Settings, *, now: datetime, replace
         clock_error_s=lambda _: _CLOCK_S,
         trusted=lambda: True,
         now=lambda: now,
-        request_refit=no_refit,
+        request_refit=skip_refit,
         board=StatusRegistry(version="", started_at=now, monotonic=lambda: 0.0),
         replaces=replaces,
     )
 
 
-def _outcome(night: Night) -> NightOutcome:
+def _make_outcome(night: Night) -> NightOutcome:
     return NightOutcome(
         date=f"{night.date}",
         verdict=night.verdict,
@@ -155,6 +155,6 @@ def _outcome(night: Night) -> NightOutcome:
     )
 
 
-def _left_out(images: CameraImages) -> tuple[Failure, ...]:
+def _list_left_out(images: CameraImages) -> tuple[Failure, ...]:
     pairs = zip(images.nights, zeniths_deg(images.nights, images.plan.site), strict=True)
     return tuple(Failure(image.path, at_night(zenith)) for image, zenith in pairs)

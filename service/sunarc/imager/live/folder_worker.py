@@ -46,7 +46,7 @@ from sunarc.sources.sources import Folder, content_hash
 _log = logging.getLogger(__name__)
 
 
-class _Dated(NamedTuple):
+class _DatedFile(NamedTuple):
     """A file whose image has a time."""
 
     file: source_files.SourceFile
@@ -172,10 +172,10 @@ class FolderWorker:
         now_s = self.clock.monotonic()
         try:
             if not self._remembers:
-                self._remember()
+                self._read_seen_files()
             listed = list(self._listing.files(now_ns=int(1e9 * self.clock.now().timestamp())))
         except OSError as error:
-            self._unreadable(error)
+            self._show_unreadable_folder(error)
             return False
         except OutsideError as error:
             _log.warning("the files that were seen cannot be read from the archive: %s", error)
@@ -186,7 +186,7 @@ class FolderWorker:
         new = [file for file in listed if self._is_new(file)]
         if not self._reads:
             self._reads = True
-            self._first_listing(listed, new)
+            self._divide_first_listing(listed, new)
         else:
             for file in new:
                 self._settling.add(file, now_s)
@@ -195,11 +195,11 @@ class FolderWorker:
     def note_names(self, names: Iterable[str]) -> None:
         """Take note of files that the file system reports as changed."""
         now_s = self.clock.monotonic()
-        for file in self._present(name for name in names if folder_files.is_image(name, self.options.files)):
+        for file in self._list_present_files(name for name in names if folder_files.is_image(name, self.options.files)):
             if self._is_new(file):
                 self._settling.add(file, now_s)
 
-    def _present(self, names: Iterable[str]) -> Iterator[source_files.SourceFile]:
+    def _list_present_files(self, names: Iterable[str]) -> Iterator[source_files.SourceFile]:
         for name in names:
             with suppress(OSError):  # it is gone
                 yield folder_files.source_file(name, (self._root / name_path(name)).stat())
@@ -210,7 +210,7 @@ class FolderWorker:
         for file in self._settling.settled(now_s):
             self._ready[file.name] = (file, now_s)
         self._check_arrival(now_s)
-        self.take_late(self._present(self._ahead.passed()))
+        self.take_late(self._list_present_files(self._ahead.passed()))
         for name, due_s in list(self._again.items()):
             if now_s >= due_s:
                 del self._again[name]
@@ -266,11 +266,11 @@ class FolderWorker:
             day: at for day, at in self._late_days.items() if (now_s - at) * self.frame_time.speed < _LATE_S
         }
         named = (time_in_name(name) for name in self._late)
-        return {*self._late_days, *(self._day(one.time.timestamp()) for one in named if one is not None)}
+        return {*self._late_days, *(self._get_solar_date(one.time.timestamp()) for one in named if one is not None)}
 
     # Which files are new.
 
-    def _remember(self) -> None:
+    def _read_seen_files(self) -> None:
         """Read which files were seen; those without a time are dated again, for the settings may have changed."""
         seen = self.camera.archive.seen_files
         self._stamps, self._remembers = dict(seen.stamps(self.camera.name)), True
@@ -287,14 +287,16 @@ class FolderWorker:
         seen = self._stamps.get(name)
         return seen != file.stamp and name not in self._ready and name not in self._late and name not in self._again
 
-    def _first_listing(self, listed: Sequence[source_files.SourceFile], new: Sequence[source_files.SourceFile]) -> None:
+    def _divide_first_listing(
+        self, listed: Sequence[source_files.SourceFile], new: Sequence[source_files.SourceFile]
+    ) -> None:
         """Divide the files at the start: the newest are live, few are late, many are an archive."""
         now = self.clock.now().timestamp()
         recent = [file for file in new if now - folder_files.changed_s(file) < _LIVE.total_seconds()]
         for file in recent:
             self._settling.add(file, self.clock.monotonic())
         older = [file for file in new if now - folder_files.changed_s(file) >= _LIVE.total_seconds()]
-        self._register(sorted(listed, key=folder_files.changed_s))
+        self._register_camera(sorted(listed, key=folder_files.changed_s))
         if len(older) > _MANY:
             self.archive_of(older)
             for file in older:
@@ -304,13 +306,13 @@ class FolderWorker:
         self.take_late(
             file for file in listed if self._stamps.get(file.name) == file.stamp and file.name in self._verdicts
         )
-        self._prune({file.name for file in listed})
+        self._forget_missing({file.name for file in listed})
 
     def take_late(self, files: Iterable[source_files.SourceFile]) -> None:
         """Look at files behind the live ones."""
         self._late.update((file.name, file) for file in files)
 
-    def _prune(self, present: set[str]) -> None:
+    def _forget_missing(self, present: set[str]) -> None:
         """Forget the files that are gone from a folder that has files: the record would grow for ever."""
         gone = [name for name in self._stamps if name not in present]
         if not present or not gone:
@@ -320,7 +322,7 @@ class FolderWorker:
         except OutsideError as error:
             _log.warning("files that are gone are not forgotten: %s", error)
 
-    def _register(self, files: Sequence[source_files.SourceFile]) -> None:
+    def _register_camera(self, files: Sequence[source_files.SourceFile]) -> None:
         if self.images.size is None and files:
             found = (image_files.image_size(self._source, file.name) for file in files[-_SIZES:])
             self.images.register(
@@ -337,10 +339,10 @@ class FolderWorker:
         live: bool,
         since_s: dict[str, tuple[source_files.SourceFile, float]] | None = None,
     ) -> None:
-        self._register(files)
-        by_time: dict[datetime, list[_Dated]] = {}
+        self._register_camera(files)
+        by_time: dict[datetime, list[_DatedFile]] = {}
         for file in files:
-            dated = self._dated(file)
+            dated = self._date_file(file)
             if dated is not None and live and not self.frame_time.follows_camera:
                 self._arrivals.note(dated.frame.time, utc_time(folder_files.changed_s(file)))
             if dated is not None and live and not self._is_recent(dated.frame.time):
@@ -349,15 +351,15 @@ class FolderWorker:
                 by_time.setdefault(dated.frame.time, []).append(dated)
             heartbeat()
         for time in sorted(by_time):
-            if live and since_s is not None and self._awaits_more(by_time[time], since_s):
+            if live and since_s is not None and self._wait_for_stack(by_time[time], since_s):
                 del by_time[time]
         while by_time:
             self._n_in_hand = sum(map(len, by_time.values()))
             time = min(by_time)
             try:
-                self._take_time(time, by_time[time], live=live)
+                self._take_images(time, by_time[time], live=live)
             except (OutsideError, InputError) as error:
-                self._postpone(by_time[time], error)
+                self._try_later(by_time[time], error)
             del by_time[time]
             heartbeat()
         self._n_in_hand = 0
@@ -368,8 +370,8 @@ class FolderWorker:
             return self._newest is None or time > self._newest[1] - _LIVE
         return time > self.frame_time.now() - _LIVE
 
-    def _awaits_more(
-        self, members: Sequence[_Dated], since_s: dict[str, tuple[source_files.SourceFile, float]]
+    def _wait_for_stack(
+        self, members: Sequence[_DatedFile], since_s: dict[str, tuple[source_files.SourceFile, float]]
     ) -> bool:
         """Put the exposures of an incomplete stack back, where stacks came before and the last one is not long ago."""
         now_s = self.clock.monotonic()
@@ -380,23 +382,23 @@ class FolderWorker:
             self._ready[one.file.name] = (one.file, since_s[one.file.name][1])
         return True
 
-    def _dated(self, file: source_files.SourceFile) -> _Dated | None:
+    def _date_file(self, file: source_files.SourceFile) -> _DatedFile | None:
         """Return a file with the time of its image; None where it is left out, which is written down."""
         name = file.name
         try:
-            frame = self._timed(file)
-            if self._is_doubtful(file, frame.time):
+            frame = self._find_time(file)
+            if self._is_ahead_of_clock(file, frame.time):
                 return None
             content = content_hash(source_files.read_content(self._source, name))
         except FindingError as error:
-            self._refuse(file, self._as_latest(name, error.finding))
+            self._leave_out(file, self._explain_missing_time(name, error.finding))
             return None
         except OSError as error:
-            self._refuse(file, Finding(source_files.NOT_READ, {"error": error.strerror or str(error)}))
+            self._leave_out(file, Finding(source_files.NOT_READ, {"error": error.strerror or str(error)}))
             return None
-        return _Dated(file, frame, content)
+        return _DatedFile(file, frame, content)
 
-    def _timed(self, file: source_files.SourceFile) -> TimedFrame:
+    def _find_time(self, file: source_files.SourceFile) -> TimedFrame:
         """Return when the image of a file was taken; FindingError where that cannot be."""
         if file.size > MOST_BYTES:
             raise FindingError(file.name, Finding("file_too_large", {"bytes": file.size, "most": MOST_BYTES}))
@@ -411,18 +413,18 @@ class FolderWorker:
             raise FindingError(file.name, Finding("file_time_future", {"ahead_s": ahead_s}))
         return frame
 
-    def _is_doubtful(self, file: source_files.SourceFile, time: datetime) -> bool:
+    def _is_ahead_of_clock(self, file: source_files.SourceFile, time: datetime) -> bool:
         """Return whether an image was ahead of a clock that no file's change shows to have been years behind."""
         behind_s = time.timestamp() - folder_files.changed_s(file)
         return self._verdicts.pop(file.name, "") == FUTURE and behind_s < _YEARS_S
 
-    def _as_latest(self, name: str, finding: Finding) -> Finding:
+    def _explain_missing_time(self, name: str, finding: Finding) -> Finding:
         """Return why a file without a time is left out: one that is written over again and again is a copy."""
         written_over = name in self._stamps
         others = self._newest is not None and self._newest[0] != name
         return Finding(_LATEST) if finding.code == "file_time_unknown" and written_over and others else finding
 
-    def _take_time(self, time: datetime, new: list[_Dated], *, live: bool) -> None:
+    def _take_images(self, time: datetime, new: list[_DatedFile], *, live: bool) -> None:
         """Look at the images of one time, and write down that they were seen."""
         zenith = self.apparent_zenith(time)
         new = self._select_by_prefix(new)
@@ -431,23 +433,25 @@ class FolderWorker:
         members = self.camera.archive.seen_files.at(self.camera.name, time)
         contents = {one.content for one in members if one.file not in {each.file.name for each in new}}
         for one in [one for one in new if one.content in contents]:
-            self._refuse(one.file, Finding("file_copy", {"file": PurePosixPath(one.file.name).name}), one)
+            self._leave_out(one.file, Finding("file_copy", {"file": PurePosixPath(one.file.name).name}), one)
             new.remove(one)
         if not new:
             return
         if zenith >= self.sun_zenith_deg:
-            self._take_night(time, new, zenith, live=live)
+            self._take_night_image(time, new, zenith, live=live)
         else:
-            self._take_day(time, new, members, live=live)
-        self._noted(time, new, live=live)
+            self._take_day_images(time, new, members, live=live)
+        self._note_newest_image(time, new, live=live)
 
-    def _take_day(self, time: datetime, new: Sequence[_Dated], members: Sequence[SeenFile], *, live: bool) -> None:
-        stack = {one.file.name: _live(one) for one in new}
-        stack |= {one.file.name: _live(one) for one in self._members(members, without=stack)}
+    def _take_day_images(
+        self, time: datetime, new: Sequence[_DatedFile], members: Sequence[SeenFile], *, live: bool
+    ) -> None:
+        stack = {one.file.name: _make_live_image(one) for one in new}
+        stack |= {one.file.name: _make_live_image(one) for one in self._read_other_exposures(members, without=stack)}
         every = [stack[name] for name in sorted(stack)]
         if len(every) > MOST_EXPOSURES:
             for one in new:
-                self._refuse(one.file, Finding("file_time_repeated", {"n": len(every), "most": MOST_EXPOSURES}), one)
+                self._leave_out(one.file, Finding("file_time_repeated", {"n": len(every), "most": MOST_EXPOSURES}), one)
             return
         self._stack_size = len(every) if live else self._stack_size
         found = dict(zip([one.file for one in every], self.images.take(name_text(self._root), every), strict=True))
@@ -459,38 +463,42 @@ class FolderWorker:
                 self._mark_seen(one)
                 self._left_out.note(one.file.name, finding)
             else:
-                self._refuse(one.file, finding, one)
+                self._leave_out(one.file, finding, one)
         if not live:
-            day = self._day(time.timestamp())
+            day = self._get_solar_date(time.timestamp())
             self._late_days[day] = self._late_s = self.clock.monotonic()
             self.judge_again(day)
 
-    def _members(self, seen: Sequence[SeenFile], *, without: Container[str]) -> Iterator[_Dated]:
+    def _read_other_exposures(self, seen: Sequence[SeenFile], *, without: Container[str]) -> Iterator[_DatedFile]:
         """Yield the other exposures of a time, which were read before."""
         for one in seen:
             if one.code is None and one.file not in without:
                 with suppress(OSError):  # it is gone
-                    dated = self._dated(folder_files.source_file(one.file, (self._root / name_path(one.file)).stat()))
+                    dated = self._date_file(
+                        folder_files.source_file(one.file, (self._root / name_path(one.file)).stat())
+                    )
                     if dated is not None and dated.frame.time == one.time:
                         yield dated
 
-    def _take_night(self, time: datetime, new: Sequence[_Dated], zenith: float, *, live: bool) -> None:
+    def _take_night_image(self, time: datetime, new: Sequence[_DatedFile], zenith: float, *, live: bool) -> None:
         """Hand an image of the night on; those that come after their night are left for `ingest`."""
         takes = self.night is not None and zenith >= DARK_ZENITH_DEG and live
         for one in new:
             later = self._last_night is None or time > self._last_night
             if not takes or not later or self.night is None:
-                self._refuse(one.file, at_night(zenith), one)
+                self._leave_out(one.file, at_night(zenith), one)
                 continue
             pixels = image_files.read_one_image(self._source, one.file.name, size=self.images.size)
             if isinstance(pixels, Finding):
-                self._refuse(one.file, pixels, one)
+                self._leave_out(one.file, pixels, one)
                 continue
             self._last_night = time
-            self.night.put(make_file_frame(_mono(pixels), time.timestamp(), one.frame.exposure_us, self._n_frames))
+            self.night.put(
+                make_file_frame(_average_colours(pixels), time.timestamp(), one.frame.exposure_us, self._n_frames)
+            )
             self._mark_seen(one)
 
-    def _select_by_prefix(self, new: Sequence[_Dated]) -> list[_Dated]:
+    def _select_by_prefix(self, new: Sequence[_DatedFile]) -> list[_DatedFile]:
         """Return the images with the usual prefix of names; another prefix is taken once the usual one is gone."""
         kept = []
         for one in new:
@@ -499,7 +507,7 @@ class FolderWorker:
                 kept.append(one)
             else:
                 data = {"prefix": one.frame.prefix, "usual": self._usual or ""}
-                self._refuse(one.file, Finding("file_other_camera", data), one)
+                self._leave_out(one.file, Finding("file_other_camera", data), one)
         return kept
 
     def _note_prefix(self, prefix: str) -> None:
@@ -511,7 +519,7 @@ class FolderWorker:
     def _may_grow(self, file: source_files.SourceFile) -> bool:
         return self.clock.now().timestamp() - folder_files.changed_s(file) < _HALF_WRITTEN_S
 
-    def _noted(self, time: datetime, new: Sequence[_Dated], *, live: bool) -> None:
+    def _note_newest_image(self, time: datetime, new: Sequence[_DatedFile], *, live: bool) -> None:
         """Show the newest image, and take the time from it where images are the only clock."""
         self._n_frames += len(new)
         self.board.note(capture=CaptureStatus(frames=self._n_frames))
@@ -521,7 +529,7 @@ class FolderWorker:
             if live:
                 self.frame_time.note(time)
 
-    def _postpone(self, members: Sequence[_Dated], error: OutsideError | InputError) -> None:
+    def _try_later(self, members: Sequence[_DatedFile], error: OutsideError | InputError) -> None:
         """Try images again that could not be stored."""
         _log.warning("%d images are looked at again later: %s", len(members), error)
         if isinstance(error, OutsideError):
@@ -532,7 +540,7 @@ class FolderWorker:
         for one in members:
             self._again[one.file.name] = self.clock.monotonic() + _AGAIN_S
 
-    def _refuse(self, file: source_files.SourceFile, finding: Finding, dated: _Dated | None = None) -> None:
+    def _leave_out(self, file: source_files.SourceFile, finding: Finding, dated: _DatedFile | None = None) -> None:
         if finding.code == _TRUNCATED and self._may_grow(file):
             self._again[file.name] = self.clock.monotonic() + _AGAIN_S
             return
@@ -540,16 +548,16 @@ class FolderWorker:
         if finding.code == source_files.NOT_READ:
             self._again[file.name] = self.clock.monotonic() + _AGAIN_S
             return
-        self._write(file, dated, finding.code)
+        self._write_seen(file, dated, finding.code)
         if finding.code == "file_size_differs" and dated is not None:
             size = int(finding.data["width"]), int(finding.data["height"])
             self.take_late(self._resized.note(file, dated.frame.time, size))
 
-    def _mark_seen(self, one: _Dated) -> None:
+    def _mark_seen(self, one: _DatedFile) -> None:
         self._resized.clear()
-        self._write(one.file, one, None)
+        self._write_seen(one.file, one, None)
 
-    def _write(self, file: source_files.SourceFile, dated: _Dated | None, code: str | None) -> None:
+    def _write_seen(self, file: source_files.SourceFile, dated: _DatedFile | None, code: str | None) -> None:
         """Write a file down as seen; after its sightings, so that a process that dies between reads it again."""
         seen = SeenFile(
             camera=self.camera.name,
@@ -569,7 +577,7 @@ class FolderWorker:
 
     # How the folder is.
 
-    def _unreadable(self, error: OSError) -> None:
+    def _show_unreadable_folder(self, error: OSError) -> None:
         denied = isinstance(error, PermissionError)
         kind = "folder_not_permitted" if denied else "folder_missing"
         found = Finding(kind, {"folder": name_text(self._root), "error": error.strerror or str(error)})
@@ -603,14 +611,14 @@ class FolderWorker:
         found = Finding(_NO_IMAGE, {"minutes": int(silent_s / 60.0), "file": file, "time": stated})
         self.board.set_condition(_NO_IMAGE, Reason.of(found))
 
-    def _day(self, unix_s: float) -> date:
+    def _get_solar_date(self, unix_s: float) -> date:
         return solar_date(unix_s, longitude=self.camera.site.longitude)
 
 
-def _live(one: _Dated) -> LiveImage:
+def _make_live_image(one: _DatedFile) -> LiveImage:
     return LiveImage(one.file.name, one.frame.time, one.frame.exposure_us, one.content)
 
 
-def _mono(image: Image) -> Image:
+def _average_colours(image: Image) -> Image:
     """Return the mean of an image's colours: the night's detector takes one channel."""
     return image if image.ndim == 2 else image.mean(axis=2).astype(image.dtype)

@@ -171,29 +171,33 @@ class LiveImages:
         """
         time = images[0].time
         record = self.camera.archive.calibrations.current(self.camera.name, at=time)
-        model = None if record is None else self._model(record)
+        model = None if record is None else self._read_model(record)
         expected = None if model is None else self._predict_sun(model, time)
-        answers = self._look(address, images, expected, outside=model is not None and expected is None)
+        answers = self._detect_suns(address, images, expected, outside=model is not None and expected is None)
         suns = {one.file: one.found for one in answers if isinstance(one.found, Detection)}
         if expected is not None and not any(found.accepted for found in suns.values()):
-            self._add_elsewhere(address, images, suns)
+            self._search_whole_images(address, images, suns)
         suns = {file: self.checked(found, time) for file, found in suns.items()}
         accepted = any(found.accepted for found in suns.values())
-        repeated = self._repeated(address, images[0], suns)
+        repeated = self._find_repetition(address, images[0], suns)
         if repeated is not None:
-            self._store([self._point(one, _frozen(repeated), SEARCHED) for one in images])
+            self._store_sightings(
+                [self._make_sighting(one, _make_frozen_detection(repeated), SEARCHED) for one in images]
+            )
             return [repeated for _ in images]
         aside: dict[str, Finding] = {}
         if suns:
             number = SEARCHED if model is None else PREDICTED
-            aside = self._store([self._point(one, suns[one.file], number) for one in images if one.file in suns])
+            aside = self._store_sightings(
+                [self._make_sighting(one, suns[one.file], number) for one in images if one.file in suns]
+            )
             if accepted and not suns.keys() <= aside.keys():
-                self._show_sighting(time)
-        self._notice(time, (found for file, found in suns.items() if file not in aside))
-        self._learn(record, model)
+                self._show_newest_sighting(time)
+        self._report_newest_sun(time, (found for file, found in suns.items() if file not in aside))
+        self._learn_sigma_once(record, model)
         return [one.found if isinstance(one.found, Finding) else aside.get(one.file) for one in answers]
 
-    def _repeated(self, address: str, image: LiveImage, suns: Mapping[str, Detection]) -> Finding | None:
+    def _find_repetition(self, address: str, image: LiveImage, suns: Mapping[str, Detection]) -> Finding | None:
         """Return the finding of a picture that came before; None for a new one, and for one that cannot be used."""
         pixels = read_one_image(open_source(address), image.file, size=self.size)
         if isinstance(pixels, Finding):
@@ -205,20 +209,20 @@ class LiveImages:
             self.show(pixels, image.time)
         return None if earlier is None else Finding("frame_repeated", {"time": earlier.isoformat(timespec="seconds")})
 
-    def _show_sighting(self, time: datetime) -> None:
+    def _show_newest_sighting(self, time: datetime) -> None:
         """Show the newest sighting: images may come late, and out of order."""
         shown = self.board.snapshot().last_sighting_at
         if shown is None or time > shown:
             self.board.note(last_sighting_at=time)
 
-    def _notice(self, time: datetime, suns: Iterable[Detection]) -> None:
+    def _report_newest_sun(self, time: datetime, suns: Iterable[Detection]) -> None:
         """Pass on the sun of an image that is later than those before: in another order it would seem to go back."""
         for found in suns:
             if (found.accepted or found.verdict == ELSEWHERE) and (self._noticed is None or time > self._noticed):
                 self._noticed = time
                 self.notice(time, found)
 
-    def _model(self, record: CalibrationRecord) -> Calibration | None:
+    def _read_model(self, record: CalibrationRecord) -> Calibration | None:
         try:
             return self.camera.archive.calibrations.model(record.id)
         except InputError:
@@ -228,7 +232,7 @@ class LiveImages:
         site = self.camera.site_with_air_at(time)
         return expectations(model, np.array([time.timestamp()]), site=site)[0]
 
-    def _look(
+    def _detect_suns(
         self, address: str, images: Sequence[LiveImage], expected: Expectation | None, *, outside: bool
     ) -> list[Answer]:
         """Return the answer for each image; of the ordinary ones within the prediction's bounds."""
@@ -245,19 +249,19 @@ class LiveImages:
     def _scale_detection(self, found: Detection) -> Detection:
         return scale_detection_sigma(found, factor_in_force(self.camera.archive, self.camera.name, found.method))
 
-    def _add_elsewhere(self, address: str, images: Sequence[LiveImage], suns: dict[str, Detection]) -> None:
+    def _search_whole_images(self, address: str, images: Sequence[LiveImage], suns: dict[str, Detection]) -> None:
         """Search the whole of images without a sun where it should be; one that is found is of a camera that moved."""
         perhaps = [
             one for one in images if one.file in suns and suns[one.file].verdict in {*_PERHAPS_ELSEWHERE, IN_STACK}
         ]
         if not any(suns[one.file].verdict in _PERHAPS_ELSEWHERE for one in perhaps):
             return
-        for one in self._look(address, perhaps, None, outside=False):
+        for one in self._detect_suns(address, perhaps, None, outside=False):
             if isinstance(one.found, Detection) and one.found.accepted:
                 findings = (Finding("sun_elsewhere"), *suns[one.file].findings)
                 suns[one.file] = replace(one.found, accepted=False, verdict="elsewhere", findings=findings)
 
-    def _point(self, image: LiveImage, found: Detection, ingest_pass: int) -> SunPoint:
+    def _make_sighting(self, image: LiveImage, found: Detection, ingest_pass: int) -> SunPoint:
         key = image_key(to_microseconds(image.time), image.exposure_us, image.file)
         return make_sun_point(
             found,
@@ -271,21 +275,21 @@ class LiveImages:
             ingest_pass=ingest_pass,
         )
 
-    def _store(self, points: list[SunPoint]) -> dict[str, Finding]:
+    def _store_sightings(self, points: list[SunPoint]) -> dict[str, Finding]:
         return self.camera.archive.sightings.replace(points, first_epoch="first image")
 
-    def _learn(self, record: CalibrationRecord | None, model: Calibration | None) -> None:
+    def _learn_sigma_once(self, record: CalibrationRecord | None, model: Calibration | None) -> None:
         """Learn the sigma of the sightings in images once from each calibration of a full fit."""
         if record is None or model is None or record.id == self._learned_with or is_provisional(model):
             return
         if not self.looked_at_again:
-            self._hold_to(record, model)
+            self._reject_deviating(record, model)
         self._learned_with = record.id
         until = float("inf") if record.valid_until is None else record.valid_until.timestamp()
         valid = ValidCamera(model, record.valid_from.timestamp(), until)
         learn_sigma(self.camera.archive, self.settings, [valid], now=record.created_at)
 
-    def _hold_to(self, record: CalibrationRecord, model: Calibration) -> None:
+    def _reject_deviating(self, record: CalibrationRecord, model: Calibration) -> None:
         """Refuse sightings of a whole image that are not where a calibration of their pose says the sun was."""
         searched = self.camera.archive.sightings.find(
             self.camera.name, accepted=True, pose_epoch=record.pose_epoch, ingest_pass=SEARCHED
@@ -293,8 +297,8 @@ class LiveImages:
         times = np.array([one.time.timestamp() for one in searched])
         expected = expectations(model, times, site=self.camera.site)
         held = (as_predicted(*one) for one in zip(searched, expected, strict=True))
-        self._store([replace(one, ingest_pass=PREDICTED) for one in held])
+        self._store_sightings([replace(one, ingest_pass=PREDICTED) for one in held])
 
 
-def _frozen(repeated: Finding) -> Detection:
+def _make_frozen_detection(repeated: Finding) -> Detection:
     return Detection(method="paper", accepted=False, verdict=FROZEN, findings=(repeated,))

@@ -62,7 +62,7 @@ class RtspClient:
         try:
             limit = http_exchange.Limit(self.options.timeout_s, monotonic=self.clock.monotonic, heartbeat=heartbeat)
             with http_exchange.exchange_errors():
-                status = self._described(limit)
+                status = self._describe_stream(limit)
         except (OSError, http_exchange.UnfinishedError) as error:
             return Finding("rtsp_unreachable", {"host": self.host, "error": str(error) or type(error).__name__})
         if isinstance(status, Finding):
@@ -71,22 +71,22 @@ class RtspClient:
             return Finding("rtsp_denied", {"host": self.host, "status": status})
         if status != 200:
             return Finding("rtsp_status", {"host": self.host, "status": status})
-        with _opened(self._address(), self.options.timeout_s) as stream:
+        with _open_stream(self._make_login_address(), self.options.timeout_s) as stream:
             heartbeat()
-            return self._key_frame(stream, heartbeat)
+            return self._read_key_frame(stream, heartbeat)
 
-    def _described(self, limit: http_exchange.Limit) -> int | Finding:
+    def _describe_stream(self, limit: http_exchange.Limit) -> int | Finding:
         """Return the status of the answer to DESCRIBE, with the login where the camera asks for it."""
-        status, lines = self._ask(limit, "")
+        status, lines = self._send_describe(limit, "")
         if status == 401 and self._login is not None:
             challenges = http_exchange.challenges_in(lines)
             answer = http_exchange.authorization(self._login, challenges, method="DESCRIBE", uri=self._url.geturl())
             if answer is None or not _decoder_answers(lines):
                 return Finding("rtsp_login", {"host": self.host, "offers": http_exchange.offers(challenges)})
-            status, _ = self._ask(limit, f"Authorization: {answer}\r\n")
+            status, _ = self._send_describe(limit, f"Authorization: {answer}\r\n")
         return status
 
-    def _ask(self, limit: http_exchange.Limit, header: str) -> tuple[int, list[str]]:
+    def _send_describe(self, limit: http_exchange.Limit, header: str) -> tuple[int, list[str]]:
         """Send DESCRIBE on a connection of its own; return the status, and the camera's challenge."""
         text = f"DESCRIBE {self._url.geturl()} RTSP/1.0\r\nCSeq: 1\r\nAccept: application/sdp\r\n{header}\r\n"
         address = (self.host, self._url.port or _PORT)
@@ -106,20 +106,20 @@ class RtspClient:
         asked = [value.strip() for name, _, value in fields if name.strip().lower() == "www-authenticate"]
         return int(words[1]), asked
 
-    def _address(self) -> str:
+    def _make_login_address(self) -> str:
         """Return the address as the decoder takes it, with user and password."""
         if self._login is None:
             return self._url.geturl()
         user, password = (urllib.parse.quote(part, safe="") for part in self._login)
         return self._url._replace(netloc=f"{user}:{password}@{self._url.netloc}").geturl()
 
-    def _key_frame(self, stream: cv2.VideoCapture, heartbeat: Callable[[], None]) -> Snapshot | Finding:
+    def _read_key_frame(self, stream: cv2.VideoCapture, heartbeat: Callable[[], None]) -> Snapshot | Finding:
         """Return the first key frame after those that waited while the stream was opened.
 
         The frame came while it was waited for: its time is the middle of that.
         """
         if not stream.isOpened():
-            return self._none("nothing that can be decoded")
+            return self._make_missing_finding("nothing that can be decoded")
         width, height = stream.get(cv2.CAP_PROP_FRAME_WIDTH), stream.get(cv2.CAP_PROP_FRAME_HEIGHT)
         if width * height > MOST_PIXELS:
             return Finding("rtsp_too_many_pixels", {"width": int(width), "height": int(height), "most": MOST_PIXELS})
@@ -127,7 +127,7 @@ class RtspClient:
         while (began_s := self.clock.monotonic()) - opened_s < self.options.timeout_s:
             heartbeat()
             if not stream.grab():
-                return self._none("no frame")
+                return self._make_missing_finding("no frame")
             ended_s = self.clock.monotonic()
             open_s, work_s = ended_s - opened_s, thread_time() - worked_s
             is_live = open_s > _SETTLE_S and work_s < (1.0 - _IDLE_SHARE) * open_s
@@ -137,9 +137,9 @@ class RtspClient:
             if is_whole and stream.get(cv2.CAP_PROP_LRF_HAS_KEY_FRAME) > 0.0:
                 half_s = (ended_s - began_s) / 2.0
                 return Snapshot(encode_png(frame), "png", self.clock.now() - timedelta(seconds=half_s), half_s)
-        return self._none("no key frame")
+        return self._make_missing_finding("no key frame")
 
-    def _none(self, why: str) -> Finding:
+    def _make_missing_finding(self, why: str) -> Finding:
         return Finding("rtsp_no_frame", {"host": self.host, "why": why, "within_s": self.options.timeout_s})
 
 
@@ -166,7 +166,7 @@ def make_client(
 
 
 @contextmanager
-def _opened(address: str, timeout_s: float) -> Iterator[cv2.VideoCapture]:
+def _open_stream(address: str, timeout_s: float) -> Iterator[cv2.VideoCapture]:
     """Open a stream by TCP; neither that nor waiting for a frame takes longer than the timeout, whatever drips in."""
     timeout_ms = math.ceil(1000.0 * timeout_s)
     stream = cv2.VideoCapture(

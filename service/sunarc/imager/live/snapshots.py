@@ -88,7 +88,7 @@ class SnapshotClient:
         requested, began_s = self._clock.now(), self._clock.monotonic()
         limit = http_exchange.Limit(self._options.timeout_s, monotonic=self._clock.monotonic, heartbeat=heartbeat)
         try:
-            answer = self._answer(limit)
+            answer = self._fetch_picture(limit)
         except ssl.SSLCertVerificationError as error:
             return Finding("http_certificate", {"host": self.host, "error": error.verify_message})
         except (OSError, http_exchange.UnfinishedError) as error:
@@ -98,7 +98,7 @@ class SnapshotClient:
         half_s = (self._clock.monotonic() - began_s) / 2.0
         return self._check_picture(answer, requested + timedelta(seconds=half_s), half_s)
 
-    def _answer(self, limit: http_exchange.Limit) -> http_exchange.HttpAnswer | Finding:
+    def _fetch_picture(self, limit: http_exchange.Limit) -> http_exchange.HttpAnswer | Finding:
         """Return the answer with the picture: after the camera's challenge, and redirects on the same host."""
         url, login = self._url, dict[str, str]()
         asked = False
@@ -115,7 +115,7 @@ class SnapshotClient:
                     return Finding("http_login", {"host": self.host, "offers": http_exchange.offers(challenges)})
                 login, asked = {"authorization": answered}, True
             elif answer.status in _REDIRECTS:
-                target = _redirected(url, answer.headers.get("location", ""))
+                target = _resolve_redirect(url, answer.headers.get("location", ""))
                 if isinstance(target, str):
                     return Finding("http_redirected", {"host": self.host, "location": target})
                 url, asked = target, False
@@ -152,7 +152,7 @@ class SnapshotClient:
             return Finding("http_stale", {"age_s": age_s})
         if not self._dated_by_camera:
             return Snapshot(content, suffix, time, half_s)
-        stated = _http_date(answer.headers.get("last-modified"))
+        stated = _parse_http_date(answer.headers.get("last-modified"))
         if stated is None:
             why = "no Last-Modified, which dates it where capture.speed is set"
             return Finding("http_no_picture", {"host": self.host, "why": why})
@@ -164,7 +164,7 @@ def encode_png(image: cv2.typing.MatLike) -> bytes:
     return cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
 
 
-def _redirected(url: urllib.parse.SplitResult, location: str) -> urllib.parse.SplitResult | str:
+def _resolve_redirect(url: urllib.parse.SplitResult, location: str) -> urllib.parse.SplitResult | str:
     """Return the address on the same host that an answer refers to, or as text another host or an invalid address."""
     written = urllib.parse.quote(location, safe=string.punctuation, encoding="latin-1")
     try:
@@ -192,7 +192,7 @@ def _age_s(headers: Mapping[str, str], content: bytes, now: datetime) -> float:
     age = headers.get("age", "")
     if age.isdecimal():
         ages.append(float(age[:_AGE_DIGITS]))
-    date, modified = _http_date(headers.get("date")), _http_date(headers.get("last-modified"))
+    date, modified = _parse_http_date(headers.get("date")), _parse_http_date(headers.get("last-modified"))
     if date is not None and modified is not None:
         ages.append((date - modified).total_seconds())
     taken = exif_time(io.BytesIO(content))
@@ -201,7 +201,7 @@ def _age_s(headers: Mapping[str, str], content: bytes, now: datetime) -> float:
     return max(ages)
 
 
-def _http_date(text: str | None) -> datetime | None:
+def _parse_http_date(text: str | None) -> datetime | None:
     try:
         found = None if text is None else parsedate_to_datetime(text)
     except (ValueError, TypeError, IndexError, OverflowError):  # of what is no date the parser raises each of them
@@ -284,25 +284,25 @@ class SnapshotWorker:
         """Take a picture, look for the sun in it and store the sighting."""
         found = self.client.picture(heartbeat)
         if isinstance(found, Finding):
-            self._show(found)
+            self._set_condition(found)
             self.board.note(camera=CameraStatus(name=self.name, connected=False, address=self.client.host))
             return
         self.board.note(camera=CameraStatus(name=self.name, connected=True, address=self.client.host))
         if self.frame_time.follows_camera:
             self.frame_time.note(found.time)
         try:
-            left_out = self._look_at(found)
+            left_out = self._take_picture(found)
         except OutsideError as error:
             stored = condition("sightings_not_stored", waiting=0, lost=1, error=str(error))
             self.board.set_condition("sightings_not_stored", stored)
             return
         self.board.set_condition("sightings_not_stored", None)
         repeated = left_out is not None and left_out.code == "frame_repeated"
-        self._show(None if left_out is None or repeated else self._refuse(left_out))
+        self._set_condition(None if left_out is None or repeated else self._make_refusal(left_out))
 
-    def _look_at(self, found: Snapshot) -> Finding | None:
+    def _take_picture(self, found: Snapshot) -> Finding | None:
         """Look at a picture, and return why it is left out; None where it is not."""
-        path = self._written(found)
+        path = self._write_picture(found)
         self._n_frames += 1
         self.within_s = found.within_s
         self.board.note(last_frame_at=found.time, capture=CaptureStatus(frames=self._n_frames))
@@ -323,7 +323,7 @@ class SnapshotWorker:
             self.night.put(make_file_frame(pixels, found.time.timestamp(), None, self._n_frames))
         return None
 
-    def _written(self, found: Snapshot) -> Path:
+    def _write_picture(self, found: Snapshot) -> Path:
         """Write a picture where it is kept, or where the next one takes its place; return its path.
 
         A disk without room costs the kept picture alone: the sun is found in it all the same.
@@ -347,9 +347,9 @@ class SnapshotWorker:
             raise OutsideError(f"picture {path.name} could not be written: {error.strerror or error}") from error
         return path
 
-    def _show(self, finding: Finding | None) -> None:
+    def _set_condition(self, finding: Finding | None) -> None:
         self.board.set_one_condition(CODES, None if finding is None else Reason.of(finding))
 
-    def _refuse(self, finding: Finding) -> Finding:
+    def _make_refusal(self, finding: Finding) -> Finding:
         why, remedy = finding.text, finding.remedy
         return Finding(_REFUSED[self.kind], {"why": why, "remedy": remedy})

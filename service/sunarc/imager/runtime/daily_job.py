@@ -89,7 +89,7 @@ class Schedule:
             self._trigger = MonotonicTrigger(every_s=self._every_s, monotonic=self._clock.monotonic)
             self._scheduler = _scheduler()
             self._scheduler.add_job(
-                self._call,
+                self._run_job,
                 self._trigger,
                 id=_JOB,
                 next_run_time=self._clock.now(),
@@ -117,7 +117,7 @@ class Schedule:
             scheduler.shutdown(wait=False)
         return self._idle.wait(within_s)
 
-    def _call(self) -> None:
+    def _run_job(self) -> None:
         with self._lock:
             if self._scheduler is None:  # stopped while this call stood in the queue
                 return

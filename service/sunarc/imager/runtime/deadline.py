@@ -32,10 +32,10 @@ class SingleCall(Generic[Result]):
         with self._lock:
             if self._running is None or self._running.done():
                 self._running = Future()
-                threading.Thread(target=self._run, args=(self._running,), name=self._name, daemon=True).start()
+                threading.Thread(target=self._run_call, args=(self._running,), name=self._name, daemon=True).start()
             return self._running
 
-    def _run(self, running: Future[Result]) -> None:
+    def _run_call(self, running: Future[Result]) -> None:
         try:
             running.set_result(self._call())
         except BaseException as error:  # noqa: BLE001 - it is raised where the result is waited for

@@ -28,21 +28,21 @@ class Notifier:
 
     def ready(self, status: str) -> None:
         """Notify that the service is ready, with a status line."""
-        self._send(f"READY=1\nSTATUS={_line(status)}")
+        self._send_message(f"READY=1\nSTATUS={_join_lines(status)}")
 
     def status(self, status: str) -> None:
         """Send a status line."""
-        self._send(f"STATUS={_line(status)}")
+        self._send_message(f"STATUS={_join_lines(status)}")
 
     def watchdog(self) -> None:
         """Reset the watchdog."""
-        self._send("WATCHDOG=1")
+        self._send_message("WATCHDOG=1")
 
     def stopping(self) -> None:
         """Notify that the service is stopping."""
-        self._send("STOPPING=1")
+        self._send_message("STOPPING=1")
 
-    def _send(self, message: str) -> None:
+    def _send_message(self, message: str) -> None:
         if not self._address:
             return
         try:
@@ -79,7 +79,7 @@ def watchdog_interval_s(environment: Mapping[str, str], *, pid: int) -> float | 
     return int(microseconds) / 1e6
 
 
-def _line(text: str) -> str:
+def _join_lines(text: str) -> str:
     return " ".join(text.split())
 
 

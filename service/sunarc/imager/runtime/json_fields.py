@@ -36,7 +36,7 @@ def descriptions(cls: type) -> dict[str, str]:
     return {name: found[-1] for name, found in texts.items() if found and found[-1]}
 
 
-def _without_defaults(schema: dict[str, Any]) -> None:
+def _remove_defaults(schema: dict[str, Any]) -> None:
     for field in schema["properties"].values():
         field.pop("default", None)
 
@@ -46,7 +46,7 @@ class Returned:
 
     __slots__ = ()
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(
-        json_schema_serialization_defaults_required=True, json_schema_extra=_without_defaults
+        json_schema_serialization_defaults_required=True, json_schema_extra=_remove_defaults
     )
 
 
@@ -56,7 +56,7 @@ _PLUS_LOST = re.compile(r"[Tt][0-9:.]+ [0-9]{2}:?[0-9]{2}$")
 """A time whose offset's + was read as a space, as in the query of a URL."""
 
 
-def _written_in_full(value: object) -> object:
+def _require_full_time(value: object) -> object:
     if isinstance(value, str) and _PLUS_LOST.search(value):
         raise ValueError("has a space before its offset; in a URL write + as %2B, or give the time in UTC with a Z")
     number = str(value) if isinstance(value, int | float) else value
@@ -74,13 +74,13 @@ def _written_in_full(value: object) -> object:
     return value
 
 
-def _in_utc(value: datetime) -> datetime:
+def _convert_to_utc(value: datetime) -> datetime:
     if value.year not in _YEARS:
         raise ValueError(f"lies outside the years {_YEARS.start} to {_YEARS.stop - 1}")
     return value.astimezone(UTC)
 
 
-def _a_date(value: object) -> object:
+def _require_date(value: object) -> object:
     if isinstance(value, str) and not re.fullmatch(_YEARS_PATTERN + r"\d\d-\d\d", value):
         raise ValueError(f"is not a date as in 2013-05-13, of the years {_YEARS.start} to {_YEARS.stop - 1}")
     return value
@@ -88,14 +88,14 @@ def _a_date(value: object) -> object:
 
 Time = Annotated[
     AwareDatetime,
-    BeforeValidator(_written_in_full),
-    AfterValidator(_in_utc),
+    BeforeValidator(_require_full_time),
+    AfterValidator(_convert_to_utc),
     Field(description="RFC 3339, with its offset; answers are in UTC.", examples=["2013-05-13T18:30:00Z"]),
     Field(json_schema_extra={"pattern": _YEARS_PATTERN}),
 ]
 SolarDate = Annotated[
     date,
-    BeforeValidator(_a_date),
+    BeforeValidator(_require_date),
     Field(description="Local mean solar date.", examples=["2013-05-13"], json_schema_extra={"pattern": _DATE_PATTERN}),
 ]
 _FINDINGS_SCHEMA = WithJsonSchema(

@@ -61,7 +61,9 @@ class JournalHandler(logging.Handler):
         """Send one record; never raises."""
         fields = journal_fields(record)
         try:
-            self._outlet.sendto(b"".join(_field(name, text) for name, text in fields.items()), os.fspath(self._path))
+            self._outlet.sendto(
+                b"".join(_encode_field(name, text) for name, text in fields.items()), os.fspath(self._path)
+            )
         except OSError:  # longer than a datagram, or nobody there: systemd reads the level off the line
             sys.stderr.write(f"<{fields['PRIORITY']}>{fields['MESSAGE']}\n")
 
@@ -93,7 +95,7 @@ class Repeats(logging.Filter):
         window = self._windows.get(key)
         if window is None or not 0.0 <= record.created - window.since < self._window_s:
             held_back = window.held_back if window else 0
-            self._forget(record.created)
+            self._forget_old_windows(record.created)
             self._windows[key] = _Window(record.created)
             if held_back:
                 record.msg, record.args = f"{record.getMessage()} ({held_back} more like this before)", None
@@ -102,7 +104,7 @@ class Repeats(logging.Filter):
         window.held_back += window.passed > self._allowed
         return window.passed <= self._allowed
 
-    def _forget(self, now: float) -> None:
+    def _forget_old_windows(self, now: float) -> None:
         """Keep the record of messages from growing; a window that held something back waits for its next."""
         for key, window in list(self._windows.items()):
             # A negative age is that of a window from before the clock was set back: it would never grow old.
@@ -124,16 +126,20 @@ class _OneLine(logging.Formatter):
     """A record on a line of its own; only an exception's stack follows it."""
 
     def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - the library's name
-        record.message = _one_line(record.message)
+        record.message = _join_lines(record.message)
         return super().formatMessage(record)
 
 
 def journal_fields(record: logging.LogRecord) -> dict[str, str]:
     """Return a record as the journal's fields; the message is one line, the stack stands in a field of its own."""
-    message = _one_line(record.getMessage())
-    fields = {"PRIORITY": str(_priority(record.levelno)), "LOGGER": record.name, "THREAD_NAME": record.threadName or ""}
+    message = _join_lines(record.getMessage())
+    fields = {
+        "PRIORITY": str(_journal_priority(record.levelno)),
+        "LOGGER": record.name,
+        "THREAD_NAME": record.threadName or "",
+    }
     if record.exc_info and record.exc_info[0] is not None:
-        message = f"{message}: {record.exc_info[0].__name__}: {_one_line(str(record.exc_info[1]))}"
+        message = f"{message}: {record.exc_info[0].__name__}: {_join_lines(str(record.exc_info[1]))}"
         fields["SUNARC_STACK"] = logging.Formatter().formatException(record.exc_info)
     for attribute, name in _FIELDS.items():
         if hasattr(record, attribute):
@@ -141,7 +147,7 @@ def journal_fields(record: logging.LogRecord) -> dict[str, str]:
     return {"MESSAGE": message, "SYSLOG_IDENTIFIER": "sunarc", **fields}
 
 
-def _field(name: str, text: str) -> bytes:
+def _encode_field(name: str, text: str) -> bytes:
     value = text.encode()
     # The journal's native protocol: a value with a line break follows its length, 64 bits, little-endian.
     if b"\n" in value:
@@ -149,9 +155,9 @@ def _field(name: str, text: str) -> bytes:
     return name.encode() + b"=" + value + b"\n"
 
 
-def _priority(level: int) -> int:
+def _journal_priority(level: int) -> int:
     return next((priority for least, priority in _PRIORITIES if level >= least), 7)
 
 
-def _one_line(text: str) -> str:
+def _join_lines(text: str) -> str:
     return " ".join(text.split())

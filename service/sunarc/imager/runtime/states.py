@@ -73,14 +73,14 @@ def worst(states: Iterable[State]) -> State:
 
 def state_and_text(conditions: Iterable[_Condition]) -> tuple[State, str]:
     """Return the state of a service with its conditions, and the sentence of the condition that decides it."""
-    ordered = sorted(conditions, key=_rank)
+    ordered = sorted(conditions, key=_rank_condition)
     if not ordered:
         return "ready", WORDS["ready"]
     first = ordered[0]
     return condition_state(first.code, first.severity), first.text
 
 
-def _rank(condition: _Condition) -> tuple[int, int, str]:
+def _rank_condition(condition: _Condition) -> tuple[int, int, str]:
     state = condition_state(condition.code, condition.severity)
     _, rank = _RANKS.get(condition.code, (state, _UNLISTED))
     return get_args(State).index(state), rank, condition.code

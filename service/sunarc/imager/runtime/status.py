@@ -261,7 +261,7 @@ class StatusRegistry:
         with self._lock:
             before = self._reasons.pop(code, None)
             if reason is not None:
-                since = self._since(code) if before is None else before.since
+                since = self._get_start(code) if before is None else before.since
                 self._reasons[code] = replace(reason, since=since)
         # Logged outside the lock: the log's handler may block on the journal's socket.
         if not log or (before is None) == (reason is None):
@@ -286,7 +286,7 @@ class StatusRegistry:
         within_s : a condition that is first set later than this from now on is a new one.
         """
         with self._lock:
-            now = self._now()
+            now = self._estimate_now()
             self._earlier_until_s = self._monotonic() + within_s
             for code, since in earlier.items():
                 present = self._reasons.get(code)
@@ -300,12 +300,12 @@ class StatusRegistry:
         with self._lock:
             return dict(self._earlier) if self._monotonic() < self._earlier_until_s else {}
 
-    def _since(self, code: str) -> datetime:
+    def _get_start(self, code: str) -> datetime:
         """Return since when a condition holds that is set now."""
-        now, earlier = self._now(), self._earlier.pop(code, None)
+        now, earlier = self._estimate_now(), self._earlier.pop(code, None)
         return now if earlier is None or self._monotonic() >= self._earlier_until_s else min(earlier, now)
 
-    def _now(self) -> datetime:
+    def _estimate_now(self) -> datetime:
         """Return the time by the clock that dated the start; a later step of that clock is not followed."""
         return self._started_at + timedelta(seconds=self._monotonic() - self._started_s)
 

@@ -228,10 +228,11 @@ class Supervisor:
             if self._threads or self._stop.is_set():
                 return
             self._threads = [
-                threading.Thread(target=self._keep, args=(life,), name=life.name, daemon=True) for life in self._lives
+                threading.Thread(target=self._keep_alive, args=(life,), name=life.name, daemon=True)
+                for life in self._lives
             ]
             if self._watchdog.feed is not None:
-                self._threads.append(threading.Thread(target=self._watch, name="watchdog", daemon=True))
+                self._threads.append(threading.Thread(target=self._watch_workers, name="watchdog", daemon=True))
             for thread in self._threads:
                 thread.start()
 
@@ -259,7 +260,7 @@ class Supervisor:
         fresh = [life.check() for life in self._lives] + [monitor.check() for monitor in self._monitors]
         return all(fresh)
 
-    def _watch(self) -> None:
+    def _watch_workers(self) -> None:
         while not self._stop.is_set():
             if self.check() and self._watchdog.feed is not None:
                 self._watchdog.feed()
@@ -270,7 +271,7 @@ class Supervisor:
                     _log.exception("a periodic check failed")
             self._clock.wait(self._stop, self._watchdog.every_s)
 
-    def _keep(self, life: _Life) -> None:
+    def _keep_alive(self, life: _Life) -> None:
         life.keep()
         if not life.failed:
             return
@@ -308,52 +309,54 @@ class _Life:
     def keep(self) -> None:
         """Live, die and live again, until stopped; an essential worker until it has failed."""
         while not self._stop.is_set():
-            self._last_error = self._live()
+            self._last_error = self._run_once()
             if self._stop.is_set():
                 break
-            if not self._back_off():
+            if not self._wait_before_restart():
                 return
             self._restarts += 1
-        self._enter("stopped")
+        self._enter_state("stopped")
 
     def check(self) -> bool:
         """Write the heartbeat's age on the board, and return whether the watchdog may be fed."""
         with self._lock:
             age_s = self._beat.age_s()
             running = self._state == "running"
-            self._write(age_s)
+            self._write_status(age_s)
             if running and self._clock.monotonic() - self._born_at > _BACK_OFF.longest_s:
-                self._recover()
+                self._clear_death_conditions()
         stuck = self._staleness.update(age_s if running else 0.0)
         return (self._worker.optional or not stuck) and not self.failed
 
-    def _back_off(self) -> bool:
+    def _wait_before_restart(self) -> bool:
         """Wait until the next life; return False for the last one, the worker being essential and having failed."""
         deaths = self._count_death()
         if not self._blocked and (self._died_too_often or deaths > self._worker.options.max_restarts):
-            self._fail()
+            self._set_failed()
             if self.failed:
                 return False
             self._clock.wait(self._stop, _RETRY_FAILED_S)
             return True
-        self._enter("restarting")
+        self._enter_state("restarting")
         if not self._blocked and deaths > 1:
             within_s = self._worker.options.within_s
-            self._publish("worker_restarting", severity=self._worker.severity, deaths=deaths, within_s=within_s)
+            self._publish_condition(
+                "worker_restarting", severity=self._worker.severity, deaths=deaths, within_s=within_s
+            )
         self._clock.wait(self._stop, _BACK_OFF.after(deaths))
         return True
 
-    def _live(self) -> str | None:
+    def _run_once(self) -> str | None:
         """Run the worker once; return the error that it died of, None when it was stopped."""
         # Before it is running: `check` would take the age of the life before for this one's, and have it recovered.
         self._born_at = self._clock.monotonic()
-        self._enter("running")
+        self._enter_state("running")
         try:
             self._worker.make_worker().run(self._stop, self._beat.beat)
         except OutsideError as error:
             self._blocked = True
             self._last_error = str(error)
-            self._publish("worker_hindered")
+            self._publish_condition("worker_hindered")
             return self._last_error
         except BaseException as error:  # noqa: BLE001 - whatever ends a worker is its death, an exit too
             _log.exception("%s died", self.name)
@@ -369,13 +372,13 @@ class _Life:
             self._blocked = False
             # What came from outside says nothing of the worker: it does not count against its restarts.
             self._deaths.clear()
-            self._clear("worker_hindered")
+            self._clear_conditions("worker_hindered")
 
-    def _recover(self) -> None:
+    def _clear_death_conditions(self) -> None:
         """Take back the conditions of a worker that died, once it has run for longer than the longest back-off."""
         self._clear_blocked()
         self._died_too_often = False
-        self._clear("worker_restarting", "worker_failed")
+        self._clear_conditions("worker_restarting", "worker_failed")
 
     def _count_death(self) -> int:
         now_s = self._clock.monotonic()
@@ -384,30 +387,30 @@ class _Life:
             self._deaths.popleft()
         return len(self._deaths)
 
-    def _fail(self) -> None:
+    def _set_failed(self) -> None:
         self._died_too_often = True
         self.failed = self._worker.essential
-        self._enter("failed")
-        self._clear("worker_restarting")
+        self._enter_state("failed")
+        self._clear_conditions("worker_restarting")
         retried = "the service is restarted" if self.failed else f"it is retried every {_RETRY_FAILED_S:g} s"
-        self._publish("worker_failed", severity=self._worker.severity, retried=retried)
+        self._publish_condition("worker_failed", severity=self._worker.severity, retried=retried)
 
-    def _publish(self, code: str, *, severity: Severity = "degraded", **data: float | str) -> None:
+    def _publish_condition(self, code: str, *, severity: Severity = "degraded", **data: float | str) -> None:
         reason = make_condition(code, self.name, severity=severity, error=self._last_error or "", **data)
         self._board.set_condition(reason.code, reason)
 
-    def _clear(self, *codes: str) -> None:
+    def _clear_conditions(self, *codes: str) -> None:
         for code in codes:
             self._board.set_condition(worker_code(code, self.name), None)
 
-    def _enter(self, state: WorkerState) -> None:
+    def _enter_state(self, state: WorkerState) -> None:
         with self._lock:
             # A back-off may be longer than a heartbeat may be old: the age is counted from the change of state.
             self._state = state
             self._beat.beat()
-            self._write(0.0)
+            self._write_status(0.0)
 
-    def _write(self, age_s: float) -> None:
+    def _write_status(self, age_s: float) -> None:
         status = WorkerStatus(
             name=self.name,
             state=self._state,

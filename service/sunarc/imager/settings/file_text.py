@@ -132,7 +132,7 @@ def _replace_value(text: str, name: str, value: Value) -> str:
     section, _, key = name.rpartition(".")
     newline = "\r\n" if "\r\n" in text else "\n"
     lines = text.replace("\r\n", "\n").split("\n")
-    begin, end = _section(lines, section)
+    begin, end = _find_section(lines, section)
     if begin is None:
         while lines and not lines[-1].strip():
             lines.pop()
@@ -159,7 +159,7 @@ def _comment_text(text: str, comment: str) -> str:
     return f"{text:<{_COMMENT_COLUMN - 1}} {comment}" if comment else text
 
 
-def _section(lines: list[str], section: str) -> tuple[int | None, int]:
+def _find_section(lines: list[str], section: str) -> tuple[int | None, int]:
     """Return where the lines of a section begin and end; that of "" is the top level, before all others."""
     begin = None if section else 0
     for number, line in enumerate(lines):

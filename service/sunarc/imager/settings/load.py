@@ -39,12 +39,12 @@ def load_settings(path: Path | None) -> Settings:
     ------
     ConfigurationError : naming the file, the setting by its dotted path, what was given and what is allowed.
     """
-    return _load(path, Settings)
+    return _load_file(path, Settings)
 
 
 def load_hub_settings(path: Path | None) -> HubSettings:
     """Return the settings of a hub, as `load_settings` does; those that concern an imager alone are left out."""
-    return _load(path, HubSettings)
+    return _load_file(path, HubSettings)
 
 
 def parse_settings(text: str, *, where: str) -> Settings:
@@ -55,20 +55,20 @@ def parse_settings(text: str, *, where: str) -> Settings:
         raise ConfigurationError(f"{where}: is not TOML: {error}") from None
 
 
-def _load(path: Path | None, model: type[Loaded]) -> Loaded:
+def _load_file(path: Path | None, model: type[Loaded]) -> Loaded:
     where = str(path) if path else "settings"
     return _load_tables({} if path is None else _read_toml(path), model, where)
 
 
 def _load_tables(tables: Mapping[str, Any], model: type[Loaded], where: str) -> Loaded:
-    given = _merged(tables, _environment())
+    given = _merge_tables(tables, _read_environment())
     try:
         _refuse_names(given)
         given = _without_unused_sources(_without_former_sections(given))
         # JSON mode takes lists for tuples and texts for paths, and strict mode no number in quotes and no true for 1.
         return model.model_validate_json(json.dumps(given, default=str), strict=True)
     except ValidationError as error:
-        raise ConfigurationError(f"{where}: {_first_problem(error)}") from None
+        raise ConfigurationError(f"{where}: {_describe_first_problem(error)}") from None
     except InputError as error:
         raise ConfigurationError(f"{where}: {error}") from None
 
@@ -84,7 +84,7 @@ def _read_toml(path: Path) -> dict[str, Any]:
         raise ConfigurationError(f"{path}: is not TOML: {error}") from None
 
 
-def _environment() -> dict[str, Any]:
+def _read_environment() -> dict[str, Any]:
     """Return the settings of SUNARC_SECTION__NAME=value, where value is written as in TOML (or is a bare text)."""
     nested: dict[str, Any] = {}
     for variable, text in sorted(os.environ.items()):
@@ -94,21 +94,21 @@ def _environment() -> dict[str, Any]:
         table = nested
         for section in sections:
             table = table.setdefault(section, {})
-        table[name] = _toml_value(text)
+        table[name] = _parse_toml_value(text)
     return nested
 
 
-def _toml_value(text: str) -> Any:  # noqa: ANN401 - whatever TOML holds
+def _parse_toml_value(text: str) -> Any:  # noqa: ANN401 - whatever TOML holds
     try:
         return tomllib.loads(f"value = {text}")["value"]
     except (ValueError, RecursionError):
         return text
 
 
-def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+def _merge_tables(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
     """Return two nested tables as one; where both have a value, that of `above`."""
     both = {
-        name: _merged(below[name], above[name])
+        name: _merge_tables(below[name], above[name])
         for name in below.keys() & above.keys()
         if isinstance(below[name], dict) and isinstance(above[name], dict)
     }
@@ -117,7 +117,7 @@ def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any
 
 def _refuse_names(given: Mapping[str, Any]) -> None:
     """Raise where a name is no setting."""
-    for name, value in _leaves(given):
+    for name, value in _list_values(given):
         if value == {} and name in _SECTIONS | _FORMER_SECTIONS:
             continue
         if name in _SECTIONS:
@@ -149,16 +149,16 @@ def _without_unused_sources(given: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _leaves(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+def _list_values(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
     """Yield the dotted path and the value of everything in nested tables."""
     for name, value in table.items():
         if isinstance(value, dict) and value:
-            yield from _leaves(value, f"{prefix}{name}.")
+            yield from _list_values(value, f"{prefix}{name}.")
         else:
             yield prefix + name, value
 
 
-def _first_problem(error: ValidationError) -> str:
+def _describe_first_problem(error: ValidationError) -> str:
     problem = error.errors()[0]
     name = ".".join(part for part in problem["loc"] if isinstance(part, str))
     others = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""

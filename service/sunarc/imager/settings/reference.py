@@ -82,7 +82,7 @@ def as_markdown() -> str:
     """Return the settings reference page."""
     parts = [_HEADING]
     for section, settings in groupby(all_settings(), key=lambda one: one.name.rpartition(".")[0]):
-        rows = [f"| `{s.name}` | {_cell(s.default)} | {s.allowed} | {s.meaning} |" for s in settings]
+        rows = [f"| `{s.name}` | {_format_default(s.default)} | {s.allowed} | {s.meaning} |" for s in settings]
         title = f"[{section}]" if section else "Top level"
         parts.append(
             "\n".join([f"## {title}\n", "| setting | default | allowed | meaning |", "|---|---|---|---|", *rows, ""])
@@ -106,13 +106,13 @@ def list_settings(options: type, section: str) -> Iterator[Setting]:
             continue
         yield Setting(
             name=name,
-            default=_default(field),
+            default=_describe_default(field),
             allowed=_describe_allowed(hints[field.name], bounds.get(field.name, ())),
             meaning=meanings.get(field.name, ""),
         )
 
 
-def _default(field: Field[Any]) -> str:
+def _describe_default(field: Field[Any]) -> str:
     if field.default is not MISSING:
         return toml_text(field.default)
     return "required" if field.default_factory is MISSING else toml_text(field.default_factory())
@@ -155,5 +155,5 @@ def toml_text(value: object) -> str:
     return json.dumps(str(value) if isinstance(value, Path) else value)
 
 
-def _cell(default: str) -> str:
+def _format_default(default: str) -> str:
     return default if default in {"required", "unset"} else f"`{default}`"

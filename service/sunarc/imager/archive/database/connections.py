@@ -186,7 +186,7 @@ def create_server_engine(url: URL) -> Engine:
             raise InvalidatePoolError("the server closed it")
 
     @event.listens_for(engine, "begin")
-    def _begin(connection: Connection) -> None:
+    def _begin_transaction(connection: Connection) -> None:
         options = connection.get_execution_options()
         if options.get(WRITES, False):
             _lock(connection, options.get(ONE_CAMERA))
@@ -283,12 +283,12 @@ class SnapshotVersion:
     def count(self) -> int:
         """Return a number that is another one after any commit; one round trip to the server."""
         with self._lock, server_errors(self._engine):
-            snapshot = self._current()
+            snapshot = self._read_current_snapshot()
             if snapshot != self._snapshot:
                 self._snapshot, self._count = snapshot, self._count + 1
             return self._count
 
-    def _current(self) -> str:
+    def _read_current_snapshot(self) -> str:
         # A snapshot is the set of transactions whose rows are visible: where two are equal, no commit lies between.
         try:
             if self._connection is None or self._connection.invalidated:
@@ -384,9 +384,9 @@ def create_archive_engine(
     _FILES[engine] = opened
 
     @event.listens_for(engine, "connect")
-    def _prepare(connection: sqlite3.Connection, _record: object) -> None:
+    def _prepare_connection(connection: sqlite3.Connection, _record: object) -> None:
         connection.isolation_level = None  # the driver begins nothing by itself
-        connection.text_factory = _text  # else one flipped bit makes every query that meets it fail
+        connection.text_factory = _decode_text  # else one flipped bit makes every query that meets it fail
         connection.execute(f"PRAGMA busy_timeout={_BUSY_TIMEOUT_MS}")
         # WAL: readers never wait for a writer. FULL: each commit is on the disk before it is reported, since a field
         # computer loses power without notice.
@@ -395,7 +395,7 @@ def create_archive_engine(
         connection.execute(f"PRAGMA foreign_keys={'ON' if foreign_keys else 'OFF'}")
 
     @event.listens_for(engine, "begin")
-    def _begin(connection: Connection) -> None:
+    def _begin_transaction(connection: Connection) -> None:
         writes = connection.get_execution_options().get(WRITES, False)
         # IMMEDIATE: a transaction that reads first and writes later could find another's commit between, and fail.
         connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
@@ -449,7 +449,7 @@ def _file_errors(engine: Engine) -> Iterator[None]:
         raise contradiction(str(error.orig)) from error
     except OperationalError as error:
         if _result_code(error) == sqlite3.SQLITE_FULL:
-            raise StoreFullError(f"{_full_disk(Path(str(path)))} is full: {error.orig}") from error
+            raise StoreFullError(f"{_name_full_disk(Path(str(path)))} is full: {error.orig}") from error
         may = os.access(str(path), os.R_OK | os.W_OK, effective_ids=True) or not Path(str(path)).exists()
         remedy = "" if may else "; give the file to the service's user (chown), or ask as that user"
         raise OutsideError(f"cannot use the database {path}: {error.orig}{remedy}") from error
@@ -463,10 +463,14 @@ def _file_errors(engine: Engine) -> Iterator[None]:
         ) from error
 
 
-def _full_disk(database: Path) -> str:
+def _name_full_disk(database: Path) -> str:
     """Return which disk SQLite found full, of the two that its one error may mean."""
     temporary = next((folder for folder in _temporary_folders() if os.access(folder, os.W_OK | os.X_OK)), None)
-    if temporary is None or _free_bytes(database.parent) < _ROOM_BYTES or _free_bytes(temporary) >= _ROOM_BYTES:
+    if (
+        temporary is None
+        or _count_free_bytes(database.parent) < _ROOM_BYTES
+        or _count_free_bytes(temporary) >= _ROOM_BYTES
+    ):
         return f"the disk of the database {database}"
     return f"the disk of temporary files {temporary}, which the database {database} needs too,"
 
@@ -477,7 +481,7 @@ def _temporary_folders() -> Iterator[Path]:
     yield from (Path(folder) for folder in (*named, "/var/tmp", "/usr/tmp", "/tmp") if folder)  # noqa: S108
 
 
-def _free_bytes(folder: Path) -> int:
+def _count_free_bytes(folder: Path) -> int:
     """Return the bytes that any user may still write into a folder; 0 where it cannot be asked."""
     try:
         return shutil.disk_usage(folder).free
@@ -485,5 +489,5 @@ def _free_bytes(folder: Path) -> int:
         return 0
 
 
-def _text(stored: bytes) -> str:
+def _decode_text(stored: bytes) -> str:
     return stored.decode("utf-8", "replace")

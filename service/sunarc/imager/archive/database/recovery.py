@@ -65,21 +65,21 @@ def leaf_rows(path: Path, columns: tuple[Column, ...]) -> Iterator[tuple[Value, 
     size = 65_536 if size == 1 else size
     if size not in _PAGE_SIZES:  # the header is damaged
         size = _PAGE_SIZE
-    free = set(_free_pages(data, size))
+    free = set(_list_free_pages(data, size))
     for number in range(2, len(data) // size + 1):
         page = data[(number - 1) * size : number * size]
         if number in free or page[0] != _LEAF:
             continue
         for cell in range(int.from_bytes(page[3:5], "big")):
             try:
-                row = _row(data, page, int.from_bytes(page[8 + 2 * cell : 10 + 2 * cell], "big"), columns, size)
+                row = _parse_row(data, page, int.from_bytes(page[8 + 2 * cell : 10 + 2 * cell], "big"), columns, size)
             except (IndexError, struct.error, ValueError):
                 continue
             if row is not None:
                 yield row
 
 
-def _free_pages(data: bytes, size: int) -> Iterator[int]:
+def _list_free_pages(data: bytes, size: int) -> Iterator[int]:
     trunk = int.from_bytes(data[_FIRST_TRUNK : _FIRST_TRUNK + 4], "big")
     for _ in range(len(data) // size):  # a broken list may be a ring
         if not 0 < trunk <= len(data) // size:
@@ -91,33 +91,33 @@ def _free_pages(data: bytes, size: int) -> Iterator[int]:
         trunk = int.from_bytes(page[:4], "big")
 
 
-def _row(data: bytes, page: bytes, at: int, columns: tuple[Column, ...], size: int) -> tuple[Value, ...] | None:
+def _parse_row(data: bytes, page: bytes, at: int, columns: tuple[Column, ...], size: int) -> tuple[Value, ...] | None:
     """Return the row of a cell; None where it is not of these columns."""
-    length, at = _varint(page, at)
-    rowid, at = _varint(page, at)
-    record = _payload(data, page, at, length, size)
-    header, place = _varint(record, 0)
+    length, at = _read_varint(page, at)
+    rowid, at = _read_varint(page, at)
+    record = _read_payload(data, page, at, length, size)
+    header, place = _read_varint(record, 0)
     values: list[Value] = []
     offset = header
     while place < header:
-        kind, place = _varint(record, place)
+        kind, place = _read_varint(record, place)
         count = _BYTES[kind] if kind < len(_BYTES) else (kind - 12) // 2
-        values.append(_value(kind, record[offset : offset + count], count))
+        values.append(_parse_value(kind, record[offset : offset + count], count))
         offset += count
     if len(values) != len(columns):
         return None
     row = tuple(rowid if column.is_rowid else value for column, value in zip(columns, values, strict=True))
-    return row if all(map(_fits, row, columns)) else None
+    return row if all(map(_fits_column, row, columns)) else None
 
 
-def _fits(value: Value, column: Column) -> bool:
+def _fits_column(value: Value, column: Column) -> bool:
     if value is None:
         return not column.required
     kinds = next((kinds for name, kinds in _FITS.items() if column.type.startswith(name)), None)
     return kinds is None or isinstance(value, kinds)
 
 
-def _value(kind: int, stored: bytes, count: int) -> Value:
+def _parse_value(kind: int, stored: bytes, count: int) -> Value:
     if len(stored) != count:
         raise ValueError("cut short")
     if kind == 0:
@@ -129,7 +129,7 @@ def _value(kind: int, stored: bytes, count: int) -> Value:
     return stored.decode("utf-8", "replace") if kind % 2 else stored
 
 
-def _payload(data: bytes, page: bytes, at: int, length: int, size: int) -> bytes:
+def _read_payload(data: bytes, page: bytes, at: int, length: int, size: int) -> bytes:
     """Return a cell's payload, with its part on overflow pages (section 1.6)."""
     most, least = size - 35, (size - 12) * 32 // 255 - 23
     if length <= most:
@@ -146,7 +146,7 @@ def _payload(data: bytes, page: bytes, at: int, length: int, size: int) -> bytes
     return b"".join(parts)
 
 
-def _varint(data: bytes, at: int) -> tuple[int, int]:
+def _read_varint(data: bytes, at: int) -> tuple[int, int]:
     """Return a variable-length integer and the place after it (section 1.6)."""
     value = 0
     for count in range(9):
@@ -192,7 +192,7 @@ def prepare_database(path: Path, *, backups: Path, images: Path, now: datetime) 
     emptied = path.is_file() and path.stat().st_size == 0
     if path.exists() and not emptied:
         if _is_malformed(path):
-            return _salvaged_at_start(path, now=now)
+            return _salvage_at_start(path, now=now)
         upgrade(path)
         return None
     copy = newest_sound_copy(backups)
@@ -256,9 +256,11 @@ def rebuild(
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if problem == DAMAGED:
-            found = _salvaged(connection, path, partial)
+            found = _salvage_rows(connection, path, partial)
         else:
-            found = _copied(connection, partial, emptied=problem == EMPTIED) or _begun_again(path, partial)
+            found = _copy_readable_rows(connection, partial, emptied=problem == EMPTIED) or _restart_from_copy(
+                path, partial
+            )
         upgrade(partial)  # in its place it would be a file of another revision that no open connection reads
         close()
         return _put_in_place(path, partial, found, problem=problem, now=now)
@@ -266,7 +268,7 @@ def rebuild(
         raise OutsideError(f"cannot write {path} back: {error.strerror}; free some space, or restart") from error
 
 
-def _copied(connection: sqlite3.Connection, partial: Path, *, emptied: bool) -> Recovery | None:
+def _copy_readable_rows(connection: sqlite3.Connection, partial: Path, *, emptied: bool) -> Recovery | None:
     """Copy the rows that a connection still reads; None where they are no whole database."""
     done = Recovery(kind="written_back", text="written back from the open connection, nothing is lost")
     if _close_quietly(connection) and partial.exists():  # by an attempt that failed after it had copied
@@ -285,7 +287,7 @@ def _copied(connection: sqlite3.Connection, partial: Path, *, emptied: bool) -> 
     return done
 
 
-def _begun_again(path: Path, partial: Path) -> Recovery:
+def _restart_from_copy(path: Path, partial: Path) -> Recovery:
     """Copy the newest sound copy of the folder `backups`; without one, leave the database to be made."""
     copy = newest_sound_copy(path.parent / "backups")
     if copy is None:
@@ -304,15 +306,15 @@ def _is_malformed(path: Path) -> bool:
     return any(line.startswith(("Tree", "*** in database")) or "btreeInitPage" in line for line in lines)
 
 
-def _salvaged_at_start(path: Path, *, now: datetime) -> Recovery:
+def _salvage_at_start(path: Path, *, now: datetime) -> Recovery:
     partial = path.with_name(f"{path.name}.partial")
     with closing(sqlite3.connect(path)) as connection:
-        found = _salvaged(connection, path, partial)
+        found = _salvage_rows(connection, path, partial)
     upgrade(partial)
     return _put_in_place(path, partial, found, problem=DAMAGED, now=now)
 
 
-def _salvaged(connection: sqlite3.Connection, path: Path, partial: Path) -> Recovery:
+def _salvage_rows(connection: sqlite3.Connection, path: Path, partial: Path) -> Recovery:
     """Put a database together from the readable rows of a malformed one, and the newest sound copy for the rest."""
     partial.unlink(missing_ok=True)
     copy = newest_sound_copy(path.parent / "backups")
@@ -325,14 +327,14 @@ def _salvaged(connection: sqlite3.Connection, path: Path, partial: Path) -> Reco
     broken, kept = list[str](), 0
     with closing(sqlite3.connect(partial)) as target:
         for table in metadata.tables:
-            columns = _columns(connection, table)
-            whole, rows = _readable_rows(connection, table, columns)
+            columns = _read_columns(connection, table)
+            whole, rows = _read_sound_rows(connection, table, columns)
             if not whole:
                 broken.append(table)
                 rows = [*leaf_rows(path, columns), *rows]
             elif columns:
                 target.execute(f'DELETE FROM "{table}"')  # noqa: S608 - a name of the schema
-            kept += _insert(target, table, columns, rows)
+            kept += _insert_rows(target, table, columns, rows)
         target.commit()
         target.execute("PRAGMA journal_mode=DELETE")
     rest = "there is no copy for the rest" if copy is None else f"the rest is from {copy}"
@@ -340,7 +342,7 @@ def _salvaged(connection: sqlite3.Connection, path: Path, partial: Path) -> Reco
     return Recovery(kind="salvaged", text=f"put together from {kept} readable rows; damaged tables: {damaged}; {rest}")
 
 
-def _columns(connection: sqlite3.Connection, table: str) -> tuple[Column, ...]:
+def _read_columns(connection: sqlite3.Connection, table: str) -> tuple[Column, ...]:
     """Return a table's columns; empty where the database does not have it."""
     try:
         found = connection.execute(f'PRAGMA table_info("{table}")').fetchall()
@@ -353,7 +355,7 @@ def _columns(connection: sqlite3.Connection, table: str) -> tuple[Column, ...]:
     )
 
 
-def _readable_rows(
+def _read_sound_rows(
     connection: sqlite3.Connection, table: str, columns: tuple[Column, ...]
 ) -> tuple[bool, list[tuple[Value, ...]]]:
     """Return whether all of a table can be read, and its readable rows from either end."""
@@ -369,7 +371,7 @@ def _readable_rows(
     return False, list(rows.values())
 
 
-def _insert(
+def _insert_rows(
     target: sqlite3.Connection, table: str, columns: tuple[Column, ...], rows: Sequence[tuple[Value, ...]]
 ) -> int:
     """Insert rows, in place of those with the same key; return how many were sound."""

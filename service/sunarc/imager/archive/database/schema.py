@@ -63,11 +63,11 @@ def upgrade(path: Path) -> Path | None:
     engine = connections.create_archive_engine(path, foreign_keys=False, create=True)
     try:
         with connections.reading(engine) as connection:
-            revision = _revision(connection)
+            revision = _read_revision(connection)
         if revision == head_revision():
             return None
         if revision is not None and revision not in known_revisions():
-            raise _newer(revision, str(path))
+            raise _newer_schema_error(revision, str(path))
         copy = backup(path, _copy_path(path, revision), replace=True) if existed else None
         _migrate(engine, to="head")
     finally:
@@ -82,9 +82,9 @@ def upgrade_server(url: URL) -> bool:
     try:
         with connections.reading(engine) as connection:
             connections.require_writable(connection)
-            revision = _revision(connection)
+            revision = _read_revision(connection)
         if revision is not None and revision not in known_revisions():
-            raise _newer(revision, connections.public_address(url))
+            raise _newer_schema_error(revision, connections.public_address(url))
         if revision != head_revision():
             _migrate(engine, to="head")
         return revision != head_revision()
@@ -101,7 +101,7 @@ def check(store: Path | URL) -> Check:
         engine = connections.create_archive_engine(store)
     try:
         with connections.reading(engine) as connection:
-            revision, head = _revision(connection), head_revision()
+            revision, head = _read_revision(connection), head_revision()
             rows = {
                 name: connection.scalar(select(func.count()).select_from(table)) or 0
                 for name, table in (metadata.tables.items() if revision == head else ())
@@ -110,7 +110,7 @@ def check(store: Path | URL) -> Check:
             return Check(
                 revision=revision,
                 head=head,
-                integrity=_integrity(connection),
+                integrity=_find_integrity_faults(connection),
                 rows=rows,
                 damaged=tuple(damaged),
                 current_damaged="current" in damaged.values(),
@@ -129,7 +129,7 @@ def downgrade(path: Path, revision: str) -> Path:
     engine = connections.create_archive_engine(path, foreign_keys=False, create=True)
     try:
         with connections.reading(engine) as connection:
-            present = _revision(connection)
+            present = _read_revision(connection)
         if present not in revisions or revision not in revisions or revision > present:
             older = ", ".join(revisions[: revisions.index(present) + 1]) if present in revisions else "none"
             raise InputError(
@@ -152,15 +152,15 @@ def require_file(path: Path, *, command: str) -> None:
 
 def require_head(connection: Connection, *, where: str, command: str) -> None:
     """Refuse a database of another revision."""
-    revision, head = _revision(connection), head_revision()
+    revision, head = _read_revision(connection), head_revision()
     if revision is None or revision in known_revisions():
         if revision != head:
             raise SchemaError(f"{where} is at revision {revision}, this version needs {head}; run: {command}")
         return
-    raise _newer(revision, where)
+    raise _newer_schema_error(revision, where)
 
 
-def _newer(revision: str, where: str) -> SchemaError:
+def _newer_schema_error(revision: str, where: str) -> SchemaError:
     return SchemaError(
         f"{where} is at revision {revision}, which this version ({sunarc.__version__}, {head_revision()}) "
         "does not know; "
@@ -172,7 +172,7 @@ def _copy_path(path: Path, revision: str | None) -> Path:
     return path.with_name(f"{path.name}.before-{revision or 'none'}")
 
 
-def _revision(connection: Connection) -> str | None:
+def _read_revision(connection: Connection) -> str | None:
     if not inspect(connection).has_table("alembic_version"):
         return None
     found = connection.exec_driver_sql("SELECT version_num FROM alembic_version").scalar()
@@ -181,7 +181,7 @@ def _revision(connection: Connection) -> str | None:
 
 def known_revisions() -> tuple[str, ...]:
     """Return the revisions that this version knows, oldest first: a migration's file begins with its own."""
-    revisions = sorted(file.stem.split("_")[0] for file in (_migrations() / "versions").glob("[0-9]*.py"))
+    revisions = sorted(file.stem.split("_")[0] for file in (_find_migrations_folder() / "versions").glob("[0-9]*.py"))
     if not revisions:
         raise SchemaError("the migrations are missing; install sunarc again")
     return tuple(revisions)
@@ -193,7 +193,7 @@ def _migrate(engine: Engine, *, to: str) -> None:
     from alembic.config import Config  # noqa: PLC0415
 
     config = Config()
-    config.set_main_option("script_location", str(_migrations()).replace("%", "%%"))
+    config.set_main_option("script_location", str(_find_migrations_folder()).replace("%", "%%"))
     with connections.writing(engine) as connection:
         config.attributes["connection"] = connection
         if to == "head":
@@ -202,7 +202,7 @@ def _migrate(engine: Engine, *, to: str) -> None:
             command.downgrade(config, to)
 
 
-def _integrity(connection: Connection) -> tuple[str, ...]:
+def _find_integrity_faults(connection: Connection) -> tuple[str, ...]:
     if connection.dialect.name != "sqlite":
         return ()  # PostgreSQL checks its pages itself (initdb --data-checksums, pg_amcheck)
     lines = [str(row[0]) for row in connection.exec_driver_sql("PRAGMA integrity_check")]
@@ -210,7 +210,7 @@ def _integrity(connection: Connection) -> tuple[str, ...]:
     return (*(line for line in lines if line != "ok"), *(f"{row[0]} row {row[1]} refers to nothing" for row in orphans))
 
 
-def _migrations() -> Path:
+def _find_migrations_folder() -> Path:
     package = Path(sunarc.__file__).parent
     places = (package / "migrations", package.parents[1] / "migrations")  # an installed wheel, a checkout
     return next((folder for folder in places if folder.is_dir()), places[0])

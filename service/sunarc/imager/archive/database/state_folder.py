@@ -33,7 +33,7 @@ def as_owner(folder: Path) -> Iterator[None]:
     OutsideError : others may write into a folder of root's on the way, or could make a missing one; or root may not act
         as the owner here.
     """
-    owner = _owner_on_the_way(folder) if os.geteuid() == 0 else None
+    owner = _find_first_owner(folder) if os.geteuid() == 0 else None
     if owner is None:
         yield
         return
@@ -67,7 +67,7 @@ def _act_as(uid: int, gid: int, folder: Path) -> None:
         ) from None
 
 
-def _owner_on_the_way(folder: Path, most_links: int = 40) -> tuple[int, int] | None:
+def _find_first_owner(folder: Path, most_links: int = 40) -> tuple[int, int] | None:
     """Return user and group of the first part of a path that is not root's, links included; None where all is."""
     place, names = Path("/"), folder.absolute().parts[1:]
     for n, name in enumerate(names, start=1):
@@ -88,7 +88,7 @@ def _owner_on_the_way(folder: Path, most_links: int = 40) -> tuple[int, int] | N
         if stat.S_ISLNK(found.st_mode):
             if not most_links:
                 raise OutsideError(f"{folder}: its links have no end; name the folder itself")
-            return _owner_on_the_way(Path(place, here.readlink(), *names[n:]), most_links - 1)
+            return _find_first_owner(Path(place, here.readlink(), *names[n:]), most_links - 1)
         by_others = stat.S_IWOTH if n < len(names) else _BY_OTHERS
         if found.st_mode & by_others and not found.st_mode & stat.S_ISVTX:
             raise OutsideError(
@@ -134,7 +134,7 @@ def lock_state(folder: Path, *, remedy: str = _SERVICE) -> Iterator[None]:
     except OSError as error:
         raise OutsideError(f"{path}: {error.strerror}; make it writable for the service's user") from None
     try:
-        _take(descriptor, folder, remedy)
+        _take_lock(descriptor, folder, remedy)
         os.ftruncate(descriptor, 0)
         # Written after the lock is held: what a reader finds is the holder's id or nothing.
         os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
@@ -155,7 +155,7 @@ def lock_holder(folder: Path) -> int | None:
     try:
         fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
-        return _pid(descriptor)
+        return _read_process_id(descriptor)
     else:
         return None
     finally:
@@ -166,10 +166,10 @@ def require_unlocked(folder: Path) -> None:
     """Raise `OutsideError` when a process holds the lock of a state folder."""
     holder = lock_holder(folder)
     if holder is not None:
-        raise _in_use(folder, holder, _SERVICE)
+        raise _folder_in_use_error(folder, holder, _SERVICE)
 
 
-def _take(descriptor: int, folder: Path, remedy: str) -> None:
+def _take_lock(descriptor: int, folder: Path, remedy: str) -> None:
     for _ in range(_ATTEMPTS):
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -177,13 +177,13 @@ def _take(descriptor: int, folder: Path, remedy: str) -> None:
             threading.Event().wait(_BETWEEN_S)
         else:
             return
-    raise _in_use(folder, _pid(descriptor), remedy)
+    raise _folder_in_use_error(folder, _read_process_id(descriptor), remedy)
 
 
-def _in_use(folder: Path, holder: int, remedy: str) -> OutsideError:
+def _folder_in_use_error(folder: Path, holder: int, remedy: str) -> OutsideError:
     return OutsideError(f"folder {folder} is in use by process {holder}; {remedy}")
 
 
-def _pid(descriptor: int) -> int:
+def _read_process_id(descriptor: int) -> int:
     text = os.pread(descriptor, 32, 0).strip()
     return int(text) if text.isdigit() else 0

@@ -124,7 +124,7 @@ class Database:
     def writing(self, *, camera: str | None = None) -> Iterator[sa.Connection]:
         """Yield a connection that writes, and commit at the end; of one camera's rows alone where it is named."""
         # On PostgreSQL rows of different cameras are written at the same time.
-        with self._noticing_room(), nullcontext() if camera is not None and self.file is None else self._lock:
+        with self._remember_full_disk(), nullcontext() if camera is not None and self.file is None else self._lock:
             # A deleted file stays writable in the connections that are open, and is lost with the process.
             if self.file is not None:
                 self.file.require_in_place()
@@ -140,11 +140,11 @@ class Database:
     def prepare_months(self, times: Sequence[datetime]) -> None:
         """Make the partitions that sightings of these times go to; SQLite has none."""
         if self.months is not None:
-            with self._noticing_room():
+            with self._remember_full_disk():
                 self.months.require(times)
 
     @contextmanager
-    def _noticing_room(self) -> Iterator[None]:
+    def _remember_full_disk(self) -> Iterator[None]:
         """Remember that a write found the disk full."""
         try:
             yield
@@ -296,7 +296,7 @@ def read_values(connection: sa.Connection, statement: sa.Select[Any], kind: type
         for row in rows
         if all(row[number] is not None for number in needed) and not any(_UNREADABLE in str(row[key]) for key in keys)
     ]
-    made = (_made(kind, dict(zip(names, row, strict=True))) for row in complete)
+    made = (_make_value(kind, dict(zip(names, row, strict=True))) for row in complete)
     found = tuple(value for value in made if value is not None)
     if len(found) < len(rows):
         lost, name = len(rows) - len(found), kind.__name__
@@ -304,7 +304,7 @@ def read_values(connection: sa.Connection, statement: sa.Select[Any], kind: type
     return found
 
 
-def _made(kind: type[Value], fields: dict[str, Any]) -> Value | None:
+def _make_value(kind: type[Value], fields: dict[str, Any]) -> Value | None:
     """Return the value of a row; None where its fields contradict one another."""
     try:
         return kind(**fields)
@@ -361,13 +361,13 @@ class Changes:
             self._connection = None
 
 
-def _insert(connection: sa.Connection, table: sa.Table) -> sqlite.Insert | postgresql.Insert:
+def _new_insert_statement(connection: sa.Connection, table: sa.Table) -> sqlite.Insert | postgresql.Insert:
     return sqlite.insert(table) if connection.dialect.name == "sqlite" else postgresql.insert(table)
 
 
 def insert_new(connection: sa.Connection, table: sa.Table, rows: Sequence[Mapping[str, Any]]) -> int:
     """Insert rows and return how many were new; one whose key is there already is left as it is."""
-    statement = _insert(connection, table).on_conflict_do_nothing()
+    statement = _new_insert_statement(connection, table).on_conflict_do_nothing()
     if connection.dialect.name == "sqlite":
         return connection.execute(statement, list(rows)).rowcount
     # psycopg does not count the rows of many statements; RETURNING makes one statement of many rows besides
@@ -392,7 +392,7 @@ def upsert(
     of : a column that must have the same value in the row that is there; else nothing is written.
     changed : what is written over the row that is there; all of the row unless given.
     """
-    statement = _insert(connection, table).values(row)
+    statement = _new_insert_statement(connection, table).values(row)
     same = None if of is None else table.c[of] == row[of]
     statement = statement.on_conflict_do_update(index_elements=key, set_=dict(changed or row), where=same)
     return connection.execute(statement.execution_options(preserve_rowcount=True)).rowcount
@@ -416,7 +416,7 @@ def upsert_all(
     """
     if not rows:
         return
-    statement = _insert(connection, table)
+    statement = _new_insert_statement(connection, table)
     written: dict[str, Any] = {name: statement.excluded[name] for name in rows[0] if name not in {*key, *kept}}
     written |= {name: table.c[name] + statement.excluded[name] for name in added}
     connection.execute(statement.on_conflict_do_update(index_elements=key, set_=written), list(rows))

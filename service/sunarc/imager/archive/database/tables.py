@@ -78,7 +78,7 @@ class CalendarDate(sa.TypeDecorator[date]):
 
     def result_processor(self, dialect: sa.Dialect, coltype: object) -> Callable[[Any], date | None]:  # noqa: ARG002 - SQLAlchemy's
         """Return the reader of the stored text."""
-        return _date
+        return _parse_date
 
 
 class Word(sa.TypeDecorator[str]):
@@ -252,7 +252,7 @@ def _compare_null(element: stored_as | is_number, compiler: SQLCompiler, **optio
     return f"({compiler.process(next(iter(element.clauses)), **options)} IS NOT NULL)"
 
 
-def _date(stored: object) -> date | None:
+def _parse_date(stored: object) -> date | None:
     if isinstance(stored, date):
         return stored
     try:
@@ -280,7 +280,7 @@ def _camera_column(*, nullable: bool = False) -> sa.Column[str]:
     return sa.Column("camera", sa.Text, sa.ForeignKey("camera.name"), nullable=nullable)
 
 
-def _only(condition: str) -> dict[str, Any]:
+def _partial_index_options(condition: str) -> dict[str, Any]:
     """Return the condition of a partial index, for both engines."""
     return {"sqlite_where": sa.text(condition), "postgresql_where": sa.text(condition)}
 
@@ -392,7 +392,7 @@ calibration = sa.Table(
     sa.Column("document_sha256", sa.Text, nullable=False, server_default=""),
     sa.Column("pinned", sa.Boolean, nullable=False, server_default=sa.false()),
     sa.Index("ix_calibration_camera_valid_from", "camera", "valid_from"),
-    sa.Index("uq_calibration_one_current", "camera", unique=True, **_only("state = 'current'")),
+    sa.Index("uq_calibration_one_current", "camera", unique=True, **_partial_index_options("state = 'current'")),
 )
 
 used_sightings = sa.Table(
@@ -418,7 +418,7 @@ refit = sa.Table(
     sa.Column("message", sa.Text, nullable=False),
     sa.Column("findings", FindingTuple),
     sa.Index("ix_refit_camera_requested_at", "camera", "requested_at"),
-    sa.Index("ix_refit_unfinished", "camera", "requested_at", **_only("finished_at IS NULL")),
+    sa.Index("ix_refit_unfinished", "camera", "requested_at", **_partial_index_options("finished_at IS NULL")),
 )
 
 event = sa.Table(
