@@ -176,7 +176,7 @@ def _sooner(a: AnyDate | None, b: AnyDate | None) -> AnyDate | None:
     return min((time for time in (a, b) if time is not None), default=None)
 
 
-def _chosen(_calibration: Chosen = None) -> None:
+async def _chosen(_calibration: Chosen = None) -> None:
     """Describe the parameter; `ApiContext.of` reads it."""
 
 

@@ -415,7 +415,7 @@ def _sentence(faults: Sequence[Fault]) -> str:
     return f"{first.field}: {first.problem}; {first.remedy}{others}"
 
 
-def require_known_names(request: Request) -> None:
+async def require_known_names(request: Request) -> None:
     """Refuse (422) a request whose query has a name that its route does not know.
 
     Raises
