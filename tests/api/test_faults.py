@@ -12,8 +12,9 @@ from starlette.types import Receive, Scope, Send
 from tests.api.test_problems import check_shape
 from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
+from sunarc.imager.web.middleware.boundary import Boundary
 from sunarc.imager.web.middleware.shared_quota import client_network
-from sunarc.imager.web.problems import FaultGuard, FaultLog
+from sunarc.imager.web.problems import FaultLog
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made
@@ -130,5 +131,6 @@ def test_a_fault_is_one_answer_with_the_name_that_the_log_has(
 
 @pytest.mark.parametrize("error", [RecursionError("deep"), MemoryError()])
 def test_a_fault_of_what_stands_before_the_routes_is_answered_too(made: Made, error: Exception) -> None:
-    guarded = type(made.client)(FaultGuard(failing(error), faults=FaultLog()))  # type: ignore[arg-type]
+    guard = Boundary(failing(error), max_body_bytes=1, max_array_bytes=1, faults=FaultLog())
+    guarded = type(made.client)(guard)  # type: ignore[arg-type]
     check_shape(guarded.get("/v1/sun"), 500, "/v1/sun")

@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING, Any, cast
 import httpx
 import pytest
 import uvicorn
-from starlette.types import Receive, Scope, Send
+from starlette.types import ASGIApp, Receive, Scope, Send
 from tests.api.test_problems import check_shape
 
-from sunarc.imager.web.middleware.admission import ConcurrencyLimit, TokenBuckets
+from sunarc.imager.web.middleware.admission import TokenBuckets
 from sunarc.imager.web.middleware.connection_limit import bound_connections
+from sunarc.imager.web.middleware.request_bodies import Occupancy
+from sunarc.imager.web.middleware.shared_quota import SharedQuota
 from sunarc.imager.web.options import ApiOptions
 
 if TYPE_CHECKING:
@@ -109,6 +111,10 @@ def test_a_token_that_is_not_asked_for_costs_nothing_more(make: Any) -> None:  #
     assert statuses == [200, 200, 200, 429]
 
 
+def limit_at_once(app: ASGIApp, at_once: int) -> Occupancy:
+    return Occupancy(app, max_body_bytes=1, max_array_bytes=1, within_s=1.0, quota=SharedQuota(1), at_once=at_once)
+
+
 def test_more_at_once_than_can_be_answered_is_refused() -> None:
     gate, told = asyncio.Event(), []
 
@@ -117,7 +123,7 @@ def test_more_at_once_than_can_be_answered_is_refused() -> None:
         await send({"type": "http.response.start", "status": 200, "headers": []})
 
     async def asking() -> None:
-        limits = ConcurrencyLimit(slow, at_once=2)
+        limits = limit_at_once(slow, 2)
 
         async def send(message: Any) -> None:  # noqa: ANN401 - of ASGI
             if message["type"] == "http.response.start":
@@ -147,7 +153,7 @@ def test_an_address_that_has_most_of_what_is_answered_at_once_gives_way() -> Non
         await send({"type": "http.response.start", "status": 200, "headers": []})
 
     async def asking() -> None:
-        limits = ConcurrencyLimit(slow, at_once=6)
+        limits = limit_at_once(slow, 6)
 
         def ask(client: str) -> asyncio.Task[None]:
             async def send(message: Any) -> None:  # noqa: ANN401 - of ASGI

@@ -29,7 +29,7 @@ from sunarc.imager.runtime.host import listen, notifier_from
 from sunarc.imager.runtime.status import StatusRegistry, StatusSnapshot
 from sunarc.imager.runtime.supervisor import Heartbeat, Monitored, Watchdog
 from sunarc.imager.settings.model import HubSettings
-from sunarc.imager.web.app import STATIC, add_camera_routes, complete, count_requests, new_application, new_context
+from sunarc.imager.web.app import STATIC, add_camera_routes, complete, new_application, new_context
 from sunarc.imager.web.context import refuse_refit
 from sunarc.imager.web.options import ApiOptions
 from sunarc.imager.web.routes.health import camera_list_routes
@@ -182,7 +182,6 @@ def create_hub_app(
     app.include_router(pair_routes(context))
     app.include_router(fleet_page(STATIC))
     app.mount("/static", StaticFiles(directory=STATIC))
-    complete(app, context)
-    count_requests(app, numbers)
+    complete(app, context, numbers)
     app.add_middleware(FeedSizes, receiver=receiver)
     return app

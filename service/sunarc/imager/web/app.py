@@ -31,7 +31,8 @@ from sunarc.imager.web.arrays import MOST_BYTES_AHEAD
 from sunarc.imager.web.bulk import ComputeSlots
 from sunarc.imager.web.context import CAMERA_PREFIX, ApiContext, DaySites, PictureList, SingleFlightCache
 from sunarc.imager.web.middleware import admission
-from sunarc.imager.web.middleware.request_bodies import BodyReader, Boundary, DecidedHeader, HeadRequests
+from sunarc.imager.web.middleware.boundary import Boundary
+from sunarc.imager.web.middleware.request_bodies import Occupancy
 from sunarc.imager.web.middleware.shared_quota import SharedQuota
 from sunarc.imager.web.options import ApiOptions
 from sunarc.imager.web.routes.calibrations import calibration_routes, decision_routes, refit_routes
@@ -40,7 +41,7 @@ from sunarc.imager.web.routes.geolocation import GeolocateRequest, geolocation_r
 from sunarc.imager.web.routes.health import camera_list_routes, health_routes
 from sunarc.imager.web.routes.images import image_routes
 from sunarc.imager.web.routes.maps import map_routes, mask_routes, remap_routes
-from sunarc.imager.web.routes.metrics import CountRequests, RequestCounts, StatusCollector
+from sunarc.imager.web.routes.metrics import RequestCounts, StatusCollector
 from sunarc.imager.web.routes.nights import night_routes
 from sunarc.imager.web.routes.obstructions import obstruction_routes
 from sunarc.imager.web.routes.overlay import overlay_routes
@@ -212,8 +213,7 @@ def create_app(
     app.include_router(camera_list_routes(context))
     app.include_router(health_routes(context, numbers))
     _add_dashboard(app)
-    complete(app, context)
-    count_requests(app, numbers)
+    complete(app, context, numbers)
     return app
 
 
@@ -252,39 +252,39 @@ def new_application(title: str) -> FastAPI:
     )
 
 
-def complete(app: FastAPI, context: ApiContext) -> None:
-    """Add the common parts of every application: problem documents, its description, and limits."""
-    faults = problems.FaultLog()
+def complete(app: FastAPI, context: ApiContext, numbers: CollectorRegistry) -> None:
+    """Add the common parts of every application: problem documents, its description, limits, and counts of requests.
+
+    Parameters
+    ----------
+    app, context : the application, and its collaborators.
+    numbers : where Prometheus's numbers are registered: the requests, and the process's use of resources.
+    """
+    faults, counts = problems.FaultLog(), RequestCounts()
     problems.add_problem_handlers(app, faults)
     describe(app)
-    _add_guards(app, context, faults)
-
-
-def count_requests(app: FastAPI, numbers: CollectorRegistry) -> None:
-    """Count the requests and the process's use of resources, where Prometheus's numbers are registered."""
-    counts = RequestCounts()
+    _add_guards(app, context, faults, counts)
     numbers.register(counts)
     ProcessCollector(registry=numbers)
-    app.add_middleware(CountRequests, counts=counts)
 
 
-def _add_guards(app: FastAPI, context: ApiContext, faults: problems.FaultLog) -> None:
+def _add_guards(app: FastAPI, context: ApiContext, faults: problems.FaultLog, counts: RequestCounts) -> None:
     """Put the guards of every request before the application, the innermost first."""
     options = context.options
-    app.add_middleware(DecidedHeader)
     app.add_middleware(
         GZipMiddleware,
         minimum_size=_WORTH_COMPRESSING_BYTES,
         compresslevel=_COMPRESSION_LEVEL,
         exclude_content_types=_COMPRESSED_ALREADY,
     )
-    app.add_middleware(admission.ConcurrencyLimit, at_once=options.max_at_once, streams=_MOST_STREAMS)
     app.add_middleware(
-        BodyReader,
+        Occupancy,
         max_body_bytes=options.max_body_bytes,
         max_array_bytes=options.max_array_bytes,
         within_s=options.request_within_s,
         quota=SharedQuota(options.max_large_at_once * (options.max_array_bytes + MOST_BYTES_AHEAD)),
+        at_once=options.max_at_once,
+        streams=_MOST_STREAMS,
     )
     reading = admission.read_token(options.read_token_file, setting="api.read_token_file")
     tokens = tuple(token for token in (reading, context.token) if token is not None)
@@ -300,9 +300,8 @@ def _add_guards(app: FastAPI, context: ApiContext, faults: problems.FaultLog) ->
             expose_headers=["etag", "location", "retry-after", *_OUR_HEADERS],
         )
     app.add_middleware(admission.AllowedHosts, names=admission.host_names(options))
-    app.add_middleware(problems.FaultGuard, faults=faults)
-    app.add_middleware(HeadRequests)
-    app.add_middleware(Boundary, max_body_bytes=options.max_body_bytes, max_array_bytes=options.max_array_bytes)
+    sizes = {"max_body_bytes": options.max_body_bytes, "max_array_bytes": options.max_array_bytes}
+    app.add_middleware(Boundary, **sizes, faults=faults, count=counts.add)
 
 
 def add_camera_routes(app: FastAPI, context: ApiContext) -> None:

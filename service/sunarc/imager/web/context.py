@@ -133,7 +133,7 @@ class ApiContext:
 
     `timezone` and `is_replay` are for displays: the zone of local times, and whether the frames' clock is a replay's.
     `chosen` is the calibration that a request asks to be answered with: an id, or "best"; None for the one of the time.
-    `scope` is that of a request for another time than now: what answers it is noted there (`DecidedHeader`).
+    `scope` is that of a request for another time than now: what answers it is noted there (`Boundary`).
     """
 
     archive: Archive

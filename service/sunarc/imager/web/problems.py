@@ -10,7 +10,7 @@ import threading
 import traceback
 from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import dataclass
 from http import HTTPStatus
 from types import MappingProxyType
 from typing import Any
@@ -22,7 +22,7 @@ from fastapi.responses import JSONResponse
 from pydantic import BaseModel, Field
 from starlette.exceptions import HTTPException
 from starlette.routing import compile_path
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.types import Scope
 
 from sunarc.common.errors import ConflictError, InputError, NotFoundError, OutsideError, SunarcError
 
@@ -246,7 +246,7 @@ def answers(*statuses: int) -> Responses:
 
 
 def add_problem_handlers(app: FastAPI, faults: FaultLog) -> None:
-    """Answer every failure of an application with a problem document; `FaultGuard` does so for the rest."""
+    """Answer every failure of an application with a problem document; `Boundary` does so for the rest."""
 
     async def ours(request: Request, error: Exception) -> JSONResponse:
         if _is_fault(error):
@@ -257,39 +257,6 @@ def add_problem_handlers(app: FastAPI, faults: FaultLog) -> None:
     app.add_exception_handler(RequestValidationError, _invalid)
     app.add_exception_handler(HTTPException, _http)
     app.add_exception_handler(SunarcError, ours)
-
-
-@dataclass(eq=False)
-class FaultGuard:
-    """Answers with a problem where nothing behind it has answered; the stack goes to the log once.
-
-    The web framework's own guard hands the exception on to the server, which would write its stack each time.
-
-    Parameters
-    ----------
-    app : what is behind it.
-    faults : the log.
-    """
-
-    app: ASGIApp
-    _: KW_ONLY
-    faults: FaultLog
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on; an answer that has begun is cut off."""
-        started = False
-
-        async def sending(message: Message) -> None:
-            nonlocal started
-            started = True
-            await send(message)
-
-        try:
-            await self.app(scope, receive, sending)
-        except Exception as error:  # noqa: BLE001 - that is its purpose
-            name = _record_faults(self.faults, error, scope)
-            if not started and scope["type"] == "http":
-                await internal_problem(scope["path"], name)(scope, receive, send)
 
 
 def _record_faults(faults: FaultLog, error: Exception, scope: Scope) -> str:

@@ -11,7 +11,6 @@ import socket
 from collections import OrderedDict
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
-from functools import partial
 from http import HTTPStatus
 from ipaddress import ip_address
 from pathlib import Path
@@ -25,7 +24,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from sunarc.common.errors import ConfigurationError
 from sunarc.common.foreign_files import MOST_SECRET_BYTES, read_regular
 from sunarc.imager.web.middleware.http_only import HttpMiddleware
-from sunarc.imager.web.middleware.shared_quota import ClientAddressError, SharedQuota, answer_held, client_network
+from sunarc.imager.web.middleware.shared_quota import ClientAddressError, client_network
 from sunarc.imager.web.options import ApiOptions
 from sunarc.imager.web.problems import Fault, RefusedError, problem_response, refusal_response
 
@@ -128,8 +127,6 @@ def _digest(token: bytes) -> bytes:
 _MOST_CLIENTS = 4096
 _PRICE_OF_A_WRONG_TOKEN = 20.0
 _ALWAYS_ANSWERED = "/healthz"
-_STREAM = "/events/stream"
-"""The end of the path of a stream of events."""
 
 
 def is_always_answered(scope: Scope) -> bool:
@@ -224,44 +221,6 @@ class RateLimit(HttpMiddleware):
             await send(message)
 
         return sending
-
-
-@dataclass(kw_only=True, eq=False)
-class ConcurrencyLimit(HttpMiddleware):
-    """Refuses requests beyond the limit (503), or ends the oldest request of an address that has more under way.
-
-    A request is counted from when its body is there to when its answer is written; streams of events, which have no
-    end, are counted apart.
-
-    Parameters
-    ----------
-    at_once : requests that are answered at the same time.
-    streams : streams of events that are open at the same time.
-    """
-
-    at_once: int
-    streams: int = 64
-
-    def __post_init__(self) -> None:
-        """Begin without a request."""
-        self._under_way = SharedQuota(self.at_once)
-        self._streams = SharedQuota(self.streams)
-
-    async def answer(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on, or refuse it."""
-        if is_always_answered(scope):
-            await self.app(scope, receive, send)
-            return
-        counted = self._streams if scope["path"].endswith(_STREAM) else self._under_way
-        with counted.open(client_network(scope)) as request:
-            try:
-                request.grow(1)
-            except RefusedError:
-                refusal = too_many("too many requests at once", scope, HTTPStatus.SERVICE_UNAVAILABLE)
-                await refusal(scope, receive, send)
-            else:
-                answer = partial(self.app, scope, receive)
-                await answer_held(request, answer, scope=scope, receive=receive, send=send)
 
 
 def too_many(

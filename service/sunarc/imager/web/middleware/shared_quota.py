@@ -108,13 +108,13 @@ class QuotaUse:
 
 
 async def answer_held(
-    use: QuotaUse, answer: Callable[[Send], Awaitable[None]], *, scope: Scope, receive: Receive, send: Send
+    uses: tuple[QuotaUse, ...], answer: Callable[[Send], Awaitable[None]], *, scope: Scope, receive: Receive, send: Send
 ) -> None:
-    """Answer a request until its use of the quota is ended: then with 503, or by cutting off the answer that has begun.
+    """Answer a request until one of its uses is ended: then with 503, or by cutting off the answer that has begun.
 
     Parameters
     ----------
-    use : what the request holds.
+    uses : what the request holds.
     answer : answers it, by what it is given.
     scope, receive, send : of the request.
     """
@@ -127,10 +127,11 @@ async def answer_held(
 
     try:
         async with asyncio.timeout(None) as until:
-            use.ends(until)
+            for use in uses:
+                use.ends(until)
             await answer(sending)
     except TimeoutError:
-        if not use.ended:
+        if not any(use.ended for use in uses):
             raise
         # A status line that is sent cannot be taken back: then the answer is cut off.
         if not started:
@@ -148,6 +149,10 @@ class ClientAddressError(ValueError):
     """Error of a forwarded client that is no address."""
 
 
+_CLIENT = "sunarc.client"
+"""Key of a request's scope: its client, once it was computed."""
+
+
 def client_network(scope: Scope) -> str | None:
     """Return the client of a request: its IPv4 address or IPv6 /64; None for the host itself.
 
@@ -157,9 +162,13 @@ def client_network(scope: Scope) -> str | None:
     ------
     ClientAddressError : it is no address.
     """
-    host = scope["client"][0] if scope.get("client") else None
-    if host is None:
-        return None
+    if _CLIENT not in scope:
+        scope[_CLIENT] = _network(scope["client"][0]) if scope.get("client") else None
+    client: str | None = scope[_CLIENT]
+    return client
+
+
+def _network(host: str) -> str | None:
     try:
         address = ip_address(host)
     except ValueError:

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import asyncio
 import math
 from bisect import bisect_left
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from datetime import UTC, datetime, time, timedelta
 from itertools import accumulate
 from typing import get_args
 
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily, Metric
 from prometheus_client.registry import Collector
-from starlette.types import Message, Receive, Scope, Send
 
 from sunarc.imager.archive.archive import Archive
 from sunarc.imager.archive.values import CAMERA_CHANGES, Day, DayVerdict, Night, RefitState
@@ -29,7 +27,6 @@ from sunarc.imager.runtime.status import (
     WorkerState,
 )
 from sunarc.imager.web.context import ApiContext
-from sunarc.imager.web.middleware.http_only import HttpMiddleware
 from sunarc.imager.web.routes.calibrations import summary
 
 _EVENTS_LOOKED_AT = 1000
@@ -301,27 +298,3 @@ class RequestCounts(Collector):
         yield HistogramMetricFamily(
             "sunarc_http_request_seconds", text, buckets=list(zip(buckets, counts, strict=True)), sum_value=self._sum_s
         )
-
-
-@dataclass(kw_only=True, eq=False)
-class CountRequests(HttpMiddleware):
-    """Counts every request and how long it took until the status of the answer was known.
-
-    Parameters
-    ----------
-    counts : where they are counted.
-    """
-
-    counts: RequestCounts
-
-    async def answer(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on."""
-        clock = asyncio.get_running_loop()
-        begun_s = clock.time()
-
-        async def counted(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                self.counts.add(message["status"], clock.time() - begun_s)
-            await send(message)
-
-        await self.app(scope, receive, counted)

@@ -27,7 +27,7 @@ from sunarc.imager.runtime.json_fields import SolarDate, described
 from sunarc.imager.runtime.status import StatusSnapshot
 from sunarc.imager.web.context import ApiContext
 from sunarc.imager.web.middleware.admission import require_write_token
-from sunarc.imager.web.middleware.request_bodies import asked_by_head
+from sunarc.imager.web.middleware.boundary import asked_by_head
 from sunarc.imager.web.parameters import Cursor, IfNoneMatch, Since, Until, page_at, row_limit
 from sunarc.imager.web.problems import answers, described_answer
 from sunarc.imager.web.routes.calibrations import matches
