@@ -10,6 +10,7 @@ References: R. Kass and A. Raftery, "Bayes factors", J. Am. Stat. Assoc. 90 (199
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -100,6 +101,29 @@ def whitened(covariance: FloatArray, stacked: FloatArray) -> tuple[FloatArray, f
     return np.asarray(white), float(np.sum(np.log(np.diag(factor))))
 
 
+def linear_evidence(information: FloatArray, pull: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the log evidence (...) of linear unknowns, but for a constant, and their most probable values (..., k).
+
+    With unknowns of unit prior variance it is that against their being 0.
+
+    Parameters
+    ----------
+    information : (..., k, k) of the observations and of the unknowns' prior together.
+    pull : (..., k) products of the columns with the residuals, and the prior's part.
+    """
+    mean = np.asarray(np.linalg.solve(information, pull[..., None])[..., 0])
+    log_determinant = np.linalg.slogdet(information).logabsdet
+    return np.asarray(0.5 * (np.sum(pull * mean, axis=-1) - log_determinant)), mean
+
+
+def products_by_part(rows: FloatArray, part: IntArray) -> FloatArray:
+    """Return (d, k, k): the products of rows (n, 2, k) over the sightings of each part, numbered (n,) from 0 on."""
+    order = np.argsort(part, kind="stable")
+    begin = np.searchsorted(part[order], np.arange(int(part.max(initial=-1)) + 2))
+    flat = [rows[order[first:last]].reshape(-1, rows.shape[-1]) for first, last in itertools.pairwise(begin)]
+    return np.array([one.T @ one for one in flat]).reshape(-1, *rows.shape[-1:] * 2)
+
+
 class Explained(NamedTuple):
     """Evidence of an explanation, and the estimate of its free numbers of unit prior variance."""
 
@@ -130,12 +154,9 @@ def explained(values: FloatArray, covariance: FloatArray, columns: FloatArray | 
     left, rows = white[:, :axes], white[:, axes:].reshape(n, axes, count)
     # Woodbury's identity: the free numbers' covariance is added to that of the values
     information = np.eye(count) + np.einsum("nai,naj->ij", rows, rows, optimize=True)
-    gradient = np.einsum("nai,na->i", rows, left)
-    mean = np.linalg.solve(information, gradient)
-    square = float(np.sum(left**2)) - float(gradient @ mean)
-    log_determinant = 2.0 * axes * half_log + float(np.linalg.slogdet(information).logabsdet)
-    log_density = -0.5 * (square + log_determinant + n * axes * math.log(2.0 * math.pi))
-    return Explained(log_density, mean, np.linalg.inv(information))
+    gain, mean = linear_evidence(information, np.einsum("nai,na->i", rows, left))
+    without = -0.5 * (float(np.sum(left**2)) + n * axes * math.log(2.0 * math.pi)) - axes * half_log
+    return Explained(without + float(gain), mean, np.linalg.inv(information))
 
 
 def log_marginal(values: FloatArray, covariance: FloatArray, columns: FloatArray | None = None) -> float:
@@ -158,9 +179,7 @@ def step_evidences(values: FloatArray, common: FloatArray, step: FloatArray) -> 
     products = np.cumsum(np.einsum("nap,naq->npq", both, both)[::-1], axis=0)[::-1].copy()
     pulls = np.cumsum(np.einsum("nap,na->np", both, values)[::-1], axis=0)[::-1].copy()
     products[:, :size, :size], pulls[:, :size] = products[0, :size, :size].copy(), pulls[0, :size].copy()
-    information = np.eye(total) + products
-    means = np.linalg.solve(information, pulls[..., None])[..., 0]
-    return np.asarray(0.5 * (np.sum(pulls * means, axis=1) - np.linalg.slogdet(information).logabsdet))
+    return linear_evidence(np.eye(total) + products, pulls)[0]
 
 
 def matern_3_2(lag: FloatArray, scale: float) -> FloatArray:

@@ -11,7 +11,9 @@ from annotated_types import Gt, Le
 
 from sunarc.calibration import pose
 from sunarc.calibration.answers.error_model import build_error_model
+from sunarc.calibration.departure import Departure, largest_departure
 from sunarc.calibration.fit.assemble import Job, calibration_from_fit, refused, unseen_field
+from sunarc.calibration.lens_library.lens_type import PARTS
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, LensTolerances
 from sunarc.calibration.model.result import Calibration, refused_for, state_options
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
@@ -26,9 +28,8 @@ from sunarc.optics.pose import rotation_matrix, rotation_vector
 from sunarc.optics.projections import ideal_radius
 from sunarc.sky.site import Site
 
-_LARGEST_DEPARTURE = 3.0
-"""RMS departure from the prior in its own sigmas, over the determined quantities: with one such quantity a right
-prior exceeds it in 0.3 % of all cases, with more in fewer."""
+_FURTHEST = 3.0
+"""Median distance of the sightings from where the prior images the sun, in sigmas, up to which a fit is tried."""
 _DECENTERING_SHARE = 0.35
 """Decentering over residual radial distortion: that of the usual tolerances, `LensTolerances`."""
 _RIGHT_ANGLE = math.pi / 2
@@ -87,18 +88,20 @@ def calibrate_with_prior(
     sightings = pose.assign_noise(usable, points, start)
     turned_rad = None if tolerances.pose_deg is None else math.radians(tolerances.pose_deg)
     distance = _distance(start, sightings, turned_rad)
-    if distance > _LARGEST_DEPARTURE:
-        return refused(job, (_contradiction_finding(distance),))
+    if distance > _FURTHEST:
+        return refused(job, (_contradiction_finding(distance, _FURTHEST),))
     fit = pose.fit_pose(start, sightings, turned_rad=turned_rad)
     fitted = pose.make_outcome(fit, start, usable, wander_rad=0.0)
     result = calibration_from_fit(fitted, job)
     result = state_options(result, prior=asdict(tolerances))
-    departure = _departure(prior, basis, turned_rad, fit.camera, fit.error_model.covariance)
-    return result if departure <= _LARGEST_DEPARTURE else refused_for(result, _contradiction_finding(departure))
+    departure = _departure(prior, basis, turned_rad, fit)
+    if not departure.contradicts:
+        return result
+    return refused_for(result, _contradiction_finding(departure.rms, departure.limit))
 
 
-def _contradiction_finding(departure: float) -> Finding:
-    return Finding("prior_contradicted", {"departure": departure, "limit": _LARGEST_DEPARTURE})
+def _contradiction_finding(departure: float, limit: float) -> Finding:
+    return Finding("prior_contradicted", {"departure": departure, "limit": limit})
 
 
 def whitened_basis(prior: Camera, tolerances: PriorTolerances) -> FloatArray:
@@ -129,16 +132,14 @@ def _distance(start: Calibration, sightings: Sightings, turned_rad: float | None
     return float(np.median(off / tolerance)) / math.sqrt(2.0)
 
 
-def _departure(
-    prior: Camera, basis: FloatArray, turned_rad: float | None, found: Camera, covariance: FloatArray
-) -> float:
-    """Return the departure of a camera from its prior: RMS in the prior's sigmas over the determined quantities."""
-    lens = np.linalg.pinv(basis)
-    change = lens @ (found.to_vector() - prior.to_vector())[FREE]
-    remaining = lens @ covariance @ lens.T
-    squares, determined = change**2, 1.0 - np.diag(remaining)
-    if turned_rad is not None:
-        turn = rotation_matrix(found.rotation_cam_enu) @ rotation_matrix(prior.rotation_cam_enu).T
-        squares = np.append(squares, (np.array(rotation_vector(turn)) / turned_rad) ** 2)
-        determined = np.append(determined, 1.0 - np.diag(covariance)[POSE] / turned_rad**2)
-    return math.sqrt(float(np.sum(squares)) / max(float(np.sum(np.clip(determined, 0.0, 1.0))), 1.0))
+def _departure(prior: Camera, basis: FloatArray, turned_rad: float | None, fit: pose.PoseFit) -> Departure:
+    """Return the departure of a camera from its prior, of the lens alone where the pose was not stated."""
+    to_lens, covariance = np.linalg.pinv(basis), fit.error_model.covariance
+    change = to_lens @ (fit.camera.to_vector() - prior.to_vector())[FREE]
+    if turned_rad is None:
+        return largest_departure(change, np.eye(N_LENS), to_lens @ covariance @ to_lens.T, parts=PARTS)
+    turn = rotation_matrix(fit.camera.rotation_cam_enu) @ rotation_matrix(prior.rotation_cam_enu).T
+    change = np.r_[change, np.array(rotation_vector(turn)) / turned_rad]
+    to_prior = np.concatenate([to_lens, np.eye(FREE.size)[POSE] / turned_rad])
+    parts = {**PARTS, "pose": N_LENS + np.arange(3)}
+    return largest_departure(change, np.eye(change.size), to_prior @ covariance @ to_prior.T, parts=parts)

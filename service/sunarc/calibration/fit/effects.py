@@ -7,7 +7,6 @@ the assumed air with a right clock: in its pose the sun is predicted.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import replace
@@ -15,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunarc.calibration.evidence import RECORD
+from sunarc.calibration.evidence import RECORD, linear_evidence, products_by_part
 from sunarc.calibration.fit.marginal_likelihood import LOOSE_DECENTERING_PX, LOOSE_RADIAL_PX, prior_precision
 from sunarc.calibration.model.options import USUAL_OPTIONS
 from sunarc.calibration.model.result import STRONG_EVIDENCE, TURN_ASKED
@@ -186,7 +185,7 @@ def _seems_to_turn(view: _View, by_hour: FloatArray) -> bool:
     products = flat.T @ flat / _variance(view, rows[..., -1], root > 0.0)[0]
     information = products[:-1, :-1] + np.diag(np.r_[view.precision, np.ones(by_hour.shape[-1])])
     pull = products[:-1, -1] - np.r_[view.precision * view.at, np.zeros(by_hour.shape[-1])]
-    with_turns, without = (float(_evidence(information[:k, :k], pull[:k])[0]) for k in (len(pull), size))
+    with_turns, without = (float(linear_evidence(information[:k, :k], pull[:k])[0]) for k in (len(pull), size))
     return with_turns - without > TURN_ASKED
 
 
@@ -208,7 +207,8 @@ def _before_another_picture(view: _View) -> BoolArray | None:
     for _ in range(_PASSES):
         distance = np.linalg.norm(left, axis=-1) * np.sqrt(view.seen.information)
         root = worst_day_roots(distance, view.seen)
-        daily = _daily_products(view, np.concatenate([rows, view.off[..., None]], axis=-1) * root[:, None, None])
+        weighed = np.concatenate([rows, view.off[..., None]], axis=-1) * root[:, None, None]
+        daily = products_by_part(weighed, view.day)
         # by the variance of the former pass, whose scale was another one
         steps = _Steps(daily / variance, view.at, view.precision)
         both, step = steps.evidences(np.concatenate([picture, turn]))
@@ -245,7 +245,7 @@ class _Steps:
         information[:, p:, :p] = information[:, :p, p:].swapaxes(1, 2)
         information[:, p:, p:] = self.before[:, columns[:, None], columns] + np.eye(q)
         pull[:, :p], pull[:, p:] = self.pull, self.before[:, columns, -1]
-        evidence, mean = _evidence(information, pull)
+        evidence, mean = linear_evidence(information, pull)
         found = np.zeros((k, len(self.total) - 1))
         found[:, np.concatenate([np.arange(p), columns])] = mean
         return evidence, found
@@ -258,13 +258,6 @@ def worst_day_roots(distance: FloatArray, seen: Sightings) -> FloatArray:
     """
     sigma = max(robust_sigma(distance[seen.day == day], floor=_NEGLIGIBLE_PX) for day in np.unique(seen.day))
     return np.asarray(np.sqrt(seen.information) * (distance < CUT * sigma) / sigma)
-
-
-def _daily_products(view: _View, rows: FloatArray) -> FloatArray:
-    """Return the products (d, k, k) of rows (n, 2, k) over each day."""
-    begin = np.searchsorted(view.day, np.arange(view.n_days + 1))
-    of_days = [rows[first:last].reshape(-1, rows.shape[-1]) for first, last in itertools.pairwise(begin)]
-    return np.stack([one.T @ one for one in of_days])
 
 
 def season_columns(unix_s: FloatArray) -> FloatArray:
@@ -284,25 +277,26 @@ def _seem_to_sway(view: _View, in_run: BoolArray, turns: FloatArray) -> bool:
     """Return whether turns (n, 2, 3) of each run (n, k) of days explain the sightings better than none and one move."""
     distance = np.linalg.norm(view.off, axis=-1) * np.sqrt(view.seen.information)
     root = counted_roots(distance, view.seen.information, floor=_NEGLIGIBLE_PX)
-    rows, off = turns * root[:, None, None], view.off * root[:, None]
-    x, y = np.moveaxis(np.concatenate([rows, off[..., None]], axis=-1), 1, 0)
-    of_each = (x[:, :, None] * x[:, None] + y[:, :, None] * y[:, None]).reshape(-1, 16)
-    of_runs = (in_run.T.astype(np.float64) @ of_each).reshape(-1, 4, 4)
-    products, pulls = of_runs[:, :3, :3], of_runs[:, :3, 3]
-    if not np.all(np.diagonal(products, axis1=1, axis2=2) > 0.0):
+    rows = np.concatenate([turns, view.off[..., None]], axis=-1) * root[:, None, None]
+    run = np.argmax(in_run, axis=1)
+    products = products_by_part(rows, run)
+    if not np.all(np.diagonal(products[:, :3, :3], axis1=1, axis2=2) > 0.0):
         return False
-    left = off - np.einsum("nap,np->na", rows, in_run @ _most_probable(products, pulls))
-    variance, _ = _variance(view, left, root > 0.0)
-    products, pulls = products / variance, pulls / variance
-    summed = np.cumsum(products, axis=0), np.cumsum(pulls, axis=0)
-    early, late = [one[:-1] for one in summed], [one[-1] - one[:-1] for one in summed]
-    swaying = float(np.sum(_log_evidence(products, pulls)))
-    moved = _log_evidence(*early) + _log_evidence(*late)
-    if swaying < float(_log_evidence(*(one[-1:] for one in summed))[0]):
+    left = rows[..., 3] - np.einsum("nap,np->na", rows[..., :3], _turns(products)[1][run])
+    products = products / _variance(view, left, root > 0.0)[0]
+    summed = np.cumsum(products, axis=0)
+    (early, before), (late, since) = (_turns(one) for one in (summed[:-1], summed[-1] - summed[:-1]))
+    swaying, moved = float(np.sum(_turns(products)[0])), early + late
+    if swaying < float(_turns(summed[-1:])[0][0]):
         return False
     at = int(np.argmax(moved))
-    turn = _most_probable(late[0], late[1])[at] - _most_probable(early[0], early[1])[at]
-    return swaying > moved[at] or SWAY_DEG * float(np.linalg.norm(turn)) < RECORD.least_deg
+    turn_deg = SWAY_DEG * float(np.linalg.norm(since[at] - before[at]))
+    return swaying > moved[at] or turn_deg < RECORD.least_deg
+
+
+def _turns(products: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the log evidence (r,) of turns against none, and these (r, 3), by products with the residuals at last."""
+    return linear_evidence(products[:, :3, :3] + np.eye(3), products[:, :3, 3])
 
 
 def _variance(view: _View, left: FloatArray, counted: BoolArray) -> tuple[float, float]:
@@ -310,25 +304,6 @@ def _variance(view: _View, left: FloatArray, counted: BoolArray) -> tuple[float,
     rho, error = lag_one(left, counted, neighbours(view.seen.unix_s, view.seen.day))
     alike = (1.0 + rho) / (1.0 - rho) if rho > 2.0 * error else 1.0
     return max(float(np.mean(left[counted] ** 2)) * alike, _NEGLIGIBLE_PX**2), rho
-
-
-def _evidence(information: FloatArray, pull: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the log evidence (...) of linear unknowns but for a constant, and their most probable values (..., k).
-
-    `information` (..., k, k) and `pull` (..., k) are of the sightings and the unknowns' prior together.
-    """
-    mean = np.asarray(np.linalg.solve(information, pull[..., None])[..., 0])
-    return np.asarray(0.5 * (np.sum(pull * mean, axis=-1) - np.linalg.slogdet(information)[1])), mean
-
-
-def _most_probable(products: FloatArray, pulls: FloatArray) -> FloatArray:
-    """Return unknowns (r, k) of unit prior variance by sums over their sightings."""
-    return _evidence(products + np.eye(pulls.shape[-1]), pulls)[1]
-
-
-def _log_evidence(products: FloatArray, pulls: FloatArray) -> FloatArray:
-    """Return the log evidence (r,) of such unknowns, against their being 0."""
-    return _evidence(products + np.eye(pulls.shape[-1]), pulls)[0]
 
 
 POSSIBLE = frozenset({"night_offset", "night_pose", "air", "outwards", "grid", "clock"})

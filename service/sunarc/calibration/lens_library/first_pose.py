@@ -23,14 +23,10 @@ from sunarc.calibration.answers.error_model import (
     predicted,
     rotated,
 )
+from sunarc.calibration.departure import Departure, largest_departure
 from sunarc.calibration.evidence import PixelResiduals, false_density, fit_inlier_mixture
 from sunarc.calibration.fit.assemble import Job, calibration_from_fit, refused, unseen_field
-from sunarc.calibration.lens_library.conditioning import (
-    Departure,
-    contradicted,
-    largest_departure,
-    lens_finding,
-)
+from sunarc.calibration.lens_library.conditioning import contradicted, lens_finding
 from sunarc.calibration.lens_library.lens_type import IN_FREE, PARTS, LensType
 from sunarc.calibration.model.options import CalibrationOptions, FirstPoseOptions
 from sunarc.calibration.model.result import Calibration, add_finding, refused_for, state_options

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.evidence import linear_evidence
 from sunarc.calibration.lens_library import lens_type
 from sunarc.calibration.lens_library.conditioning import apply_lens_prior
 from sunarc.calibration.model.options import CalibrationOptions, LensTolerances
@@ -158,9 +159,8 @@ def _mean_precision(
         passed = np.eye(N_LENS) - one.matrix @ inner
         precision += passed @ one.matrix
         vector += passed @ one.vector
-        value += 0.5 * np.einsum("p,kpq,q->k", one.vector, inner, one.vector)
         both = np.eye(N_LENS) + scales[:, :, None] * one.matrix * scales[:, None, :]
-        value -= 0.5 * np.linalg.slogdet(both)[1]
+        value += linear_evidence(both, scales * one.vector)[0]
     return precision, vector, value
 
 
@@ -191,8 +191,7 @@ def log_evidences(known: Sequence[lens_type.Information], spreads: FloatArray, u
     precision, vector, value = _mean_precision(
         known, np.stack([lens_type.spread_scales(*one) for one in spreads.tolist()]), usual
     )
-    mean = np.linalg.solve(precision, vector[..., None])[..., 0]
-    return np.asarray(value + 0.5 * np.sum(vector * mean, axis=1) - 0.5 * np.linalg.slogdet(precision)[1])
+    return value + linear_evidence(precision, vector)[0]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

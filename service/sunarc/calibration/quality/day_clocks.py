@@ -8,10 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sunarc.calibration.evidence import linear_evidence, products_by_part
 from sunarc.calibration.model.result import Calibration, proves, residuals_by_pose
 from sunarc.calibration.model.sightings import Kind, Sightings
 from sunarc.calibration.quality.fit_checks import JudgedFit
-from sunarc.common.array_types import FloatArray, IntArray
+from sunarc.common.array_types import FloatArray
 from sunarc.common.findings import Data
 from sunarc.optics.forward import by_direction, project_with_rows_fast
 from sunarc.sky.site import EARTH_RATE
@@ -24,32 +25,26 @@ _SPREADS_S = 3.0 * 2.0 ** np.arange(10.0)
 _LEAST_SIGMA_PX, _LARGEST_CORRELATION = 0.01, 0.995
 
 
-class _Days(NamedTuple):
-    """Sums over each day's sightings, by the columns of an error that it may have.
+class _Errors(NamedTuple):
+    """Errors of the days of one kind.
 
-    products (d, k, k), pulls (d, k): of the columns with each other, and with the residuals.
+    log_odds: of them against none. of_days (d, k): the most probable ones.
     """
 
-    products: FloatArray
-    pulls: FloatArray
+    log_odds: float
+    of_days: FloatArray
 
-    def solved(self, spread: float) -> FloatArray:
-        """Return (d, k): the most probable errors of the days, each column's prior being normal of one spread."""
-        size = self.pulls.shape[1]
-        return np.asarray(np.linalg.solve(self.products + np.eye(size) / spread**2, self.pulls[..., None])[..., 0])
 
-    def divide_by(self, variance: float) -> _Days:
-        """Return the sums divided by the variance of the residuals."""
-        return _Days(self.products / variance, self.pulls / variance)
+def _errors(products: FloatArray, spread: float) -> _Errors:
+    """Return the errors of days, normal with one spread, by the products (d, k, k) with the residuals at last."""
+    information = np.eye(products.shape[-1] - 1) + products[:, :-1, :-1] * spread**2
+    evidence, of_days = linear_evidence(information, products[:, :-1, -1] * spread)
+    return _Errors(float(np.sum(evidence)), of_days * spread)
 
-    def best(self) -> tuple[float, float]:
-        """Return the highest log evidence of such errors against none, and its spread."""
-        size, tried = self.pulls.shape[1], []
-        for spread in _SPREADS_S.tolist():
-            gain = 0.5 * float(np.sum(self.pulls * self.solved(spread)))
-            volume = float(np.sum(np.linalg.slogdet(np.eye(size) + self.products * spread**2)[1]))
-            tried.append((gain - 0.5 * volume, spread))
-        return max(tried)
+
+def _most_probable(products: FloatArray) -> _Errors:
+    """Return the errors of days with the spread of the highest evidence."""
+    return max((_errors(products, spread) for spread in _SPREADS_S.tolist()), key=lambda one: one.log_odds)
 
 
 def unsteady_clock(judged: JudgedFit) -> Data | None:
@@ -72,24 +67,29 @@ def unsteady_clock(judged: JudgedFit) -> Data | None:
     fine = np.all(np.isfinite(residual), axis=-1)
     residual = np.where(fine[:, None], residual, 0.0)
     weight = np.where(fine, seen.information, 0.0)
-    of_days = {name: _summed(found, residual, weight, day) for name, found in columns.items()}
-    left = residual - np.einsum("nap,np->na", columns["turn"], of_days["turn"].solved(_SPREADS_S[-1])[day])
+    root = np.sqrt(weight)[:, None, None]
+    of_days = {
+        name: products_by_part(np.concatenate([found, residual[..., None]], axis=-1) * root, day)
+        for name, found in columns.items()
+    }
+    turns = _errors(of_days["turn"], float(_SPREADS_S[-1])).of_days
+    left = residual - np.einsum("nap,np->na", columns["turn"], turns[day])
     free = max(2.0 * len(seen) - 3.0 * days.size, 1.0)
     one_day, power = day[1:] == day[:-1], float(np.sum(left**2))
     rho = float(np.sum((left[1:] * left[:-1])[one_day])) / power if power > 0.0 else 0.0
     rho = min(max(rho, 0.0), _LARGEST_CORRELATION)
     alike = (1.0 + rho) / (1.0 - rho)  # by how much more a mean varies as neighbours err alike
     variance = max(float(np.sum(weight[:, None] * left**2)) / free * alike, _LEAST_SIGMA_PX**2)
-    scaled = {name: one.divide_by(variance) for name, one in of_days.items()}
-    evidence = {name: one.best() for name, one in scaled.items()}
-    log_odds, spread = evidence["clock"]
-    rival = max(value for name, (value, _) in evidence.items() if name != "clock")
-    offsets = scaled["clock"].solved(spread)[:, 0]
-    scatter_s = float(np.std(offsets))
-    if not proves("daily_clock", log_odds) or log_odds < rival:
+    found = {name: _most_probable(one / variance) for name, one in of_days.items()}
+    log_odds, offsets = found["clock"]
+    if not proves("daily_clock", log_odds) or log_odds < max(one.log_odds for one in found.values()):
         return None
-    range_s = float(np.ptp(offsets))
-    return {"scatter_s": scatter_s, "range_s": range_s, "days": offsets.size, "log_odds": log_odds}
+    return {
+        "scatter_s": float(np.std(offsets)),
+        "range_s": float(np.ptp(offsets)),
+        "days": len(offsets),
+        "log_odds": log_odds,
+    }
 
 
 def allowed_clock_s(judged: JudgedFit) -> float:
@@ -116,13 +116,3 @@ def _columns(calibration: Calibration, seen: Sightings) -> dict[str, FloatArray]
         "turn": np.cross(by_sky, seen.directions[:, None, :]) * EARTH_RATE,
         "outwards": outwards * scale,
     }
-
-
-def _summed(columns: FloatArray, residual: FloatArray, weight: FloatArray, day: IntArray) -> _Days:
-    """Return the sums over each day of columns (n, 2, k) and residuals (n, 2) with weights (n,)."""
-    weighed = columns * weight[:, None, None]
-    count = int(day.max()) + 1
-    products, pulls = np.zeros((count, *columns.shape[2:] * 2)), np.zeros((count, *columns.shape[2:]))
-    np.add.at(products, day, np.einsum("nap,naq->npq", weighed, columns))
-    np.add.at(pulls, day, np.einsum("nap,na->np", weighed, residual))
-    return _Days(products, pulls)

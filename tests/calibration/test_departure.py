@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sunarc.calibration.lens_library.conditioning import compute_departure, largest_departure
+from sunarc.calibration.departure import compute_departure, largest_departure
 
 
 def test_one_determined_quantity_is_judged_by_its_normal_distribution() -> None:
