@@ -66,3 +66,8 @@ def test_all_tests_of_a_right_prior_together_refuse_one_in_two_hundred_at_most()
 
 def test_without_information_nothing_is_contradicted() -> None:
     assert not compute_departure(np.array([5.0]), np.eye(1)).contradicts
+
+
+def test_a_change_within_a_prior_that_is_hardly_improved_contradicts_nothing() -> None:
+    assert not compute_departure(np.array([1.0, 0.5]), np.diag([0.999, 0.99])).contradicts
+    assert compute_departure(np.array([3.4, 0.0]), np.diag([0.999, 0.99])).contradicts

@@ -58,7 +58,7 @@ def _departure_in(change: FloatArray, prior: FloatArray, posterior: FloatArray, 
 
 
 def compute_departure(change: FloatArray, remaining: FloatArray) -> Departure:
-    """Return the departure of a posterior.
+    """Return the departure of a posterior; less than one determined quantity counts as one.
 
     Parameters
     ----------
@@ -67,7 +67,8 @@ def compute_departure(change: FloatArray, remaining: FloatArray) -> Departure:
     """
     # under a right prior the change has the covariance that the sightings took away
     determined = np.clip(np.linalg.eigvalsh(np.eye(change.size) - remaining), 0.0, 1.0)
-    total = max(float(determined.sum()), 1e-9)
+    # of less than one, a change within the prior would be refused for what a linear model leaves out
+    total = max(float(determined.sum()), 1.0)
     return Departure(math.sqrt(float(change @ change) / total), math.sqrt(_largest_square(determined) / total))
 
 
@@ -78,4 +79,4 @@ def _largest_square(weights: FloatArray) -> float:
         return math.inf
     from scipy.special import chdtri  # noqa: PLC0415 - a fit without a type of lens loads without it
 
-    return second / first * float(chdtri(first**2 / second, _FALSE_ALARMS))
+    return max(second / first * float(chdtri(first**2 / second, _FALSE_ALARMS)), float(chdtri(1.0, _FALSE_ALARMS)))
