@@ -13,11 +13,10 @@ from sunarc.calibration import pose
 from sunarc.calibration.answers.error_model import build_error_model
 from sunarc.calibration.departure import Departure, largest_departure
 from sunarc.calibration.fit.assemble import Job, calibration_from_fit, refused, unseen_field
-from sunarc.calibration.lens_library.lens_type import PARTS
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, LensTolerances
 from sunarc.calibration.model.result import Calibration, refused_for, state_options
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
-from sunarc.calibration.solve.priors import FREE, LENS, N_LENS, lens_prior, precisions
+from sunarc.calibration.solve.priors import FREE, LENS, LENS_PARTS, N_LENS, lens_prior, precisions
 from sunarc.common.array_types import FloatArray
 from sunarc.common.bounds import require_bounds
 from sunarc.common.findings import Finding
@@ -137,9 +136,9 @@ def _departure(prior: Camera, basis: FloatArray, turned_rad: float | None, fit: 
     to_lens, covariance = np.linalg.pinv(basis), fit.error_model.covariance
     change = to_lens @ (fit.camera.to_vector() - prior.to_vector())[FREE]
     if turned_rad is None:
-        return largest_departure(change, np.eye(N_LENS), to_lens @ covariance @ to_lens.T, parts=PARTS)
+        return largest_departure(change, np.eye(N_LENS), to_lens @ covariance @ to_lens.T, parts=LENS_PARTS)
     turn = rotation_matrix(fit.camera.rotation_cam_enu) @ rotation_matrix(prior.rotation_cam_enu).T
     change = np.r_[change, np.array(rotation_vector(turn)) / turned_rad]
     to_prior = np.concatenate([to_lens, np.eye(FREE.size)[POSE] / turned_rad])
-    parts = {**PARTS, "pose": N_LENS + np.arange(3)}
+    parts = {**LENS_PARTS, "pose": N_LENS + np.arange(3)}
     return largest_departure(change, np.eye(change.size), to_prior @ covariance @ to_prior.T, parts=parts)

@@ -20,7 +20,6 @@ from sunarc.calibration.fit.assemble import tidied
 from sunarc.calibration.fit.robust_fit import allowed_level
 from sunarc.calibration.lens_library.lens_type import (
     IN_FREE,
-    PARTS,
     Gaussian,
     LensType,
     lens_gaussian,
@@ -37,7 +36,7 @@ from sunarc.calibration.model.result import (
 )
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.solve.levenberg_marquardt import most_probable
-from sunarc.calibration.solve.priors import FREE, N_LENS, LensPrior
+from sunarc.calibration.solve.priors import FREE, LENS_PARTS, N_LENS, LensPrior
 from sunarc.calibration.solve.problem import problem_for
 from sunarc.calibration.verdict import fit_verdict
 from sunarc.common.array_types import BoolArray
@@ -106,7 +105,7 @@ def conditioned_lens(solved: Calibration, lens: LensType) -> Conditioned:
     inverse = np.linalg.inv(prior.covariance)
     covariance = np.linalg.inv(known.matrix + inverse)
     mean = covariance @ (known.vector + inverse @ prior.mean)
-    departure = largest_departure(mean - prior.mean, prior.covariance, covariance, parts=PARTS)
+    departure = largest_departure(mean - prior.mean, prior.covariance, covariance, parts=LENS_PARTS)
     return Conditioned(Gaussian(mean, 0.5 * (covariance + covariance.T)), departure)
 
 

@@ -27,7 +27,7 @@ from sunarc.calibration.departure import Departure, largest_departure
 from sunarc.calibration.evidence import PixelResiduals, false_density, fit_inlier_mixture
 from sunarc.calibration.fit.assemble import Job, calibration_from_fit, refused, unseen_field
 from sunarc.calibration.lens_library.conditioning import contradicted, lens_finding
-from sunarc.calibration.lens_library.lens_type import IN_FREE, PARTS, LensType
+from sunarc.calibration.lens_library.lens_type import IN_FREE, LensType
 from sunarc.calibration.model.options import CalibrationOptions, FirstPoseOptions
 from sunarc.calibration.model.result import Calibration, add_finding, refused_for, state_options
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
@@ -41,7 +41,7 @@ from sunarc.calibration.pose import (
     settled,
     stated_calibration,
 )
-from sunarc.calibration.solve.priors import FREE, N_LENS
+from sunarc.calibration.solve.priors import FREE, LENS_PARTS, N_LENS
 from sunarc.calibration.start.initial_guess import ransac_rotation
 from sunarc.common.array_types import BoolArray, FloatArray
 from sunarc.common.findings import Finding
@@ -255,5 +255,8 @@ def _departure(found: _FoundPose, lens: LensType) -> Departure:
     change = to_frame[:, IN_FREE] @ vector[FREE][IN_FREE]
     change[N_LENS:] = -levelling(found.fit.camera)[:2]
     return largest_departure(
-        change, stated, to_frame @ after.covariance @ to_frame.T, parts={**PARTS, "tilt": np.arange(N_LENS, N_LENS + 2)}
+        change,
+        stated,
+        to_frame @ after.covariance @ to_frame.T,
+        parts={**LENS_PARTS, "tilt": np.arange(N_LENS, N_LENS + 2)},
     )

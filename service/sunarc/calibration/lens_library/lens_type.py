@@ -28,13 +28,6 @@ IN_FREE = np.isin(priors.FREE, priors.LENS)
 _RIGHT_ANGLE = math.pi / 2
 _BROAD = [priors.Whitened.FOCAL_LENGTH, priors.Whitened.CENTER_X, priors.Whitened.CENTER_Y]
 """Directions in which a fit's prior is broad, or rests on the image circle, which was measured."""
-PARTS = {
-    "focal length": np.array([priors.Whitened.FOCAL_LENGTH]),
-    "centre": np.array([priors.Whitened.CENTER_X, priors.Whitened.CENTER_Y]),
-    "radial distortion": np.arange(priors.RADIAL.start, priors.RADIAL.stop),
-    "decentering": np.arange(priors.DECENTERING.start, priors.HIGHER.stop),
-}
-"""Places of the coordinates whose spread between units has a scale of its own; skew and aspect have none."""
 
 
 class Gaussian(NamedTuple):

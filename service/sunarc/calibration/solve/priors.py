@@ -60,6 +60,13 @@ DECENTERING = slice(Whitened.P1, Whitened.P3)
 """Where z holds p1 and p2."""
 HIGHER = slice(Whitened.P3, Whitened.P4 + 1)
 """Where z holds p3 and p4."""
+LENS_PARTS = {
+    "focal length": np.array([Whitened.FOCAL_LENGTH]),
+    "centre": np.array([Whitened.CENTER_X, Whitened.CENTER_Y]),
+    "radial distortion": np.arange(RADIAL.start, RADIAL.stop),
+    "decentering": np.arange(DECENTERING.start, HIGHER.stop),
+}
+"""Places of the coordinates whose spread between units has a scale of its own; skew and aspect have none."""
 
 _GRID = 181
 _GAUGE = 0.3
