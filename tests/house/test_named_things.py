@@ -110,9 +110,14 @@ def routes(root: Path) -> Callable[[str], Iterator[str]]:
     return missing
 
 
+@cache
+def _known_settings() -> frozenset[str]:
+    return frozenset(one.name for one in all_settings())
+
+
 def settings(code: str) -> Iterator[str]:
     """Yield the settings that do not exist, of sections that do."""
-    known = {one.name for one in all_settings()}
+    known = _known_settings()
     sections = {name.partition(".")[0] for name in known if "." in name}
     for name in SETTING.findall(code):
         first, last = name.partition(".")[0], name.rpartition(".")[2]
