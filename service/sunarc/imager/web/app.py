@@ -308,11 +308,11 @@ def add_camera_routes(app: FastAPI, context: ApiContext) -> None:
     """Add every route of one camera: under /v1 for this service's own, under /v1/cameras/{camera} for any."""
     slots, files = ComputeSlots(context.options.max_large_at_once), AnswerFiles()
     for of_camera in (
+        direction_routes(context, slots),  # asked most often: routes are compared in this order
+        geolocation_routes(context, slots),
         calibration_routes(context),
         decision_routes(context),
-        direction_routes(context, slots),
         map_routes(context, files),
-        geolocation_routes(context, slots),
         sun_routes(context),
         overlay_routes(context),
         record_routes(context),

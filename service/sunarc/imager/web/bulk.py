@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import OrderedDict, deque
-from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterator, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from fastapi import Request
 from fastapi.responses import Response
+from fastapi.routing import APIRoute
 from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
 
@@ -24,7 +25,7 @@ from sunarc.common.array_types import FloatArray, IntArray
 from sunarc.common.errors import InputError, NotFoundError
 from sunarc.imager.archive.values import CalibrationRecord
 from sunarc.imager.web.arrays import NPY, Rows, bytes_ahead, read_rows, require_few, rows_response
-from sunarc.imager.web.context import CALIBRATION, ApiContext, Sampling
+from sunarc.imager.web.context import ApiContext, Sampling
 from sunarc.imager.web.middleware.shared_quota import client_network
 from sunarc.imager.web.problems import Fault, RefusedError, Responses, described_answer
 from sunarc.sky.days import solar_days
@@ -266,37 +267,54 @@ class Computation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Question:
-    """Question of a request apart from its rows: the time, and how many draws of which seed."""
+    """Question of a request apart from its rows: to whom, the time, and how many draws of which seed."""
 
+    context: ApiContext
+    request: Request
     at: datetime | None
     draws: int
     seed: int
 
 
-async def compute(
-    computation: Computation, context: ApiContext, slots: ComputeSlots, request: Request, question: Question
-) -> Response:
+async def compute(computation: Computation, slots: ComputeSlots, question: Question) -> Response:
     """Answer a request in kind: JSON with JSON, .npy with .npy."""
+    context, request = question.context, question.request
     media_type = request.headers.get("content-type", _JSON).partition(";")[0].strip().lower()
     if media_type == NPY:
-        return await _rows(computation, context, slots, request, question)
+        return await _rows(computation, slots, question)
     if media_type != _JSON:
         fault = Fault(field="content-type", problem=f"{media_type!r} is not read here", remedy=f"send {_JSON} or {NPY}")
         raise RefusedError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, fault)
     body = await request.body()
     if len(body) <= _SMALL_BYTES:
         # On the event loop only where nothing has to be read or made: that would hold up every other request.
-        chosen = question.draws or CALIBRATION in request.query_params
-        ours_now = question.at is None and not chosen and not request.path_params["camera"] and b'"at"' not in body
-        if ours_now and context.ready.cached_value(context.record_or_none(None)) is not None:
-            return _json(computation, context, request, body, question)
-        return await run_in_threadpool(_json, computation, context, request, body, question)
+        if not request.scope["query_string"] and not request.path_params["camera"] and b'"at"' not in body:
+            record = context.record_or_none(None)
+            ready = None if record is None else context.ready.cached_value(record)
+            if record is not None and ready is not None:
+                now = Answering(context=context, record=record, ready=ready, time=context.frame_clock())
+                return _json(computation, question, body, now)
+        return await run_in_threadpool(_json, computation, question, body)
     client = client_network(request.scope)
     slots.require_room(client)
     async with slots.slot(client):
-        answer = await run_in_threadpool(_json, computation, context, request, body, question)
+        answer = await run_in_threadpool(_json, computation, question, body)
     request.state.use.grow(len(answer.body))
     return answer
+
+
+class RowsRoute(APIRoute):
+    """Route whose parameters have their defaults where a request has no query: it is answered at once then."""
+
+    def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
+        """Return the handler, which solves the parameters only where there are some."""
+        solving, answer = super().get_route_handler(), self.endpoint
+
+        async def handle(request: Request) -> Response:
+            response: Response = await (solving(request) if request.scope["query_string"] else answer(request))
+            return response
+
+        return handle
 
 
 def describe_body(schema: str, rows: str) -> dict[str, Any]:
@@ -316,10 +334,11 @@ def row_responses(columns: Sequence[str]) -> Responses:
     return described_answer(text, [NPY], headers=headers)
 
 
-def _json(computation: Computation, context: ApiContext, request: Request, body: bytes, question: Question) -> Response:
-    rows = computation.read(body, context.options.max_points)
-    require_few(len(rows) * question.draws, most=context.options.max_points, field="draws")
-    answering = _answering(computation, context, request, rows, question)
+def _json(computation: Computation, question: Question, body: bytes, now: Answering | None = None) -> Response:
+    most = question.context.options.max_points
+    rows = computation.read(body, most)
+    require_few(len(rows) * question.draws, most=most, field="draws")
+    answering = now or _answering(computation, question, rows)
     answer = {"calibration": answering.record.id} | computation.as_json(answering, computation.answer(answering, rows))
     if question.draws:
         ensemble = _ensemble(answering, question)
@@ -329,21 +348,20 @@ def _json(computation: Computation, context: ApiContext, request: Request, body:
     return Response(content, media_type=_JSON, headers=_calibrations(answering))
 
 
-async def _rows(
-    computation: Computation, context: ApiContext, slots: ComputeSlots, request: Request, question: Question
-) -> Response:
+async def _rows(computation: Computation, slots: ComputeSlots, question: Question) -> Response:
+    request, most = question.request, question.context.options.max_rows
     client = client_network(request.scope)
     slots.require_room(client)
-    rows = read_rows(await request.body(), columns=computation.columns, most=context.options.max_rows)
+    rows = read_rows(await request.body(), columns=computation.columns, most=most)
     if rows.dtype == np.float32 and computation.times(rows) is not None:
         problem = "holds times in single precision, which are off by up to 64 s"
         raise InputError(field="body", problem=problem, remedy="send float64")
     rows = rows.astype(np.float64) if computation.double else rows
-    require_few(len(rows) * question.draws, most=context.options.max_rows, field="draws")
+    require_few(len(rows) * question.draws, most=most, field="draws")
     columns = computation.draw_columns if question.draws else computation.answer_columns
     width = len(columns)
     request.state.use.grow(bytes_ahead(rows, width) + (rows.nbytes if rows.flags.owndata else 0))
-    answering = await run_in_threadpool(_answering, computation, context, request, rows, question)
+    answering = await run_in_threadpool(_answering, computation, question, rows)
     answers: list[Callable[[Rows], Rows]] = [partial(computation.answer, answering)]
     if question.draws:
         ensemble = await run_in_threadpool(_ensemble, answering, question)
@@ -364,18 +382,16 @@ def _ensemble(answering: Answering, question: Question) -> Ensemble:
     return answering.context.ensembles.get(sampling)
 
 
-def _answering(
-    computation: Computation, context: ApiContext, request: Request, rows: Rows, question: Question
-) -> Answering:
+def _answering(computation: Computation, question: Question, rows: Rows) -> Answering:
     """Return the answering calibrations: for the time of each row where it has one, else for the request's."""
     times = computation.times(rows)
     if times is None or not len(times):
-        return answering_at(context, request, question.at)
+        return answering_at(question.context, question.request, question.at)
     for name, given in (("at", question.at), ("draws", question.draws)):
         if given:
             problem = "cannot be given together with a time for each point"
             raise InputError(field=name, problem=problem, remedy="leave one of them out, or ask for each time alone")
-    return answering_each(context, request, times)
+    return answering_each(question.context, question.request, times)
 
 
 def _calibrations(answering: Answering) -> dict[str, str]:

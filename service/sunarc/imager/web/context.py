@@ -73,9 +73,9 @@ class SingleFlightCache(Generic[Input, Value]):
         self._lock = threading.Lock()
         self._cache: OrderedDict[str, Value] = OrderedDict()
 
-    def cached_value(self, requested: Input | None) -> Value | None:
+    def cached_value(self, requested: Input) -> Value | None:
         """Return a value that is there already, at once."""
-        return None if requested is None else self._cache.get(self._key(requested))
+        return self._cache.get(self._key(requested))
 
     def get(self, requested: Input) -> Value:
         """Return a value; it may have to be made."""

@@ -12,7 +12,16 @@ from sunarc.calibration.answers.direction_table import BACK_PROJECTED, PROJECTED
 from sunarc.calibration.answers.error_model import Ensemble
 from sunarc.common.array_types import FloatArray
 from sunarc.imager.web.arrays import Rows, parsed_body
-from sunarc.imager.web.bulk import Answering, Computation, ComputeSlots, Question, compute, describe_body, row_responses
+from sunarc.imager.web.bulk import (
+    Answering,
+    Computation,
+    ComputeSlots,
+    Question,
+    RowsRoute,
+    compute,
+    describe_body,
+    row_responses,
+)
 from sunarc.imager.web.context import ApiContext
 from sunarc.imager.web.parameters import BY_CALIBRATION, At, Draws, Seed
 from sunarc.imager.web.problems import answers
@@ -22,7 +31,7 @@ from sunarc.sky.directions import angles_from_direction, direction_from_angles, 
 
 def direction_routes(context: ApiContext, slots: ComputeSlots) -> APIRouter:
     """Return the routes that compute."""
-    routes = APIRouter(tags=["directions"])
+    routes = APIRouter(tags=["directions"], route_class=RowsRoute)
     failures = answers(404, 408, 413, 415, 422, 503)
 
     @routes.post(
@@ -34,7 +43,8 @@ def direction_routes(context: ApiContext, slots: ComputeSlots) -> APIRouter:
     )
     async def back_project(request: Request, at: At = None, draws: Draws = 0, seed: Seed = 0) -> Response:
         """Return the directions of pixels, with their uncertainty, now or at the time `at`."""
-        return await compute(_BACK_PROJECTION, context, slots, request, Question(at=at, draws=draws, seed=seed))
+        question = Question(context=context, request=request, at=at, draws=draws, seed=seed)
+        return await compute(_BACK_PROJECTION, slots, question)
 
     @routes.post(
         "/project",
@@ -45,7 +55,8 @@ def direction_routes(context: ApiContext, slots: ComputeSlots) -> APIRouter:
     )
     async def project(request: Request, at: At = None, draws: Draws = 0, seed: Seed = 0) -> Response:
         """Return the pixels of directions, with their uncertainty, now or at the time `at`."""
-        return await compute(_PROJECTION, context, slots, request, Question(at=at, draws=draws, seed=seed))
+        question = Question(context=context, request=request, at=at, draws=draws, seed=seed)
+        return await compute(_PROJECTION, slots, question)
 
     return routes
 

@@ -159,7 +159,7 @@ LOCATED = (*_OF_ONE, *(f"shadow_{name}" for name in _OF_ONE))
 
 def geolocation_routes(context: ApiContext, slots: bulk.ComputeSlots) -> APIRouter:
     """Return the route of the positions of clouds."""
-    routes = APIRouter(tags=["directions"])
+    routes = APIRouter(tags=["directions"], route_class=bulk.RowsRoute)
 
     @routes.post(
         "/geolocate",
@@ -175,7 +175,8 @@ def geolocation_routes(context: ApiContext, slots: bulk.ComputeSlots) -> APIRout
     )
     async def geolocate(request: Request, at: At = None, draws: Draws = 0, seed: Seed = 0) -> Response:
         """Return the positions of clouds of a given height and their shadows, now, at `at` or each at its own time."""
-        return await bulk.compute(_GEOLOCATION, context, slots, request, bulk.Question(at=at, draws=draws, seed=seed))
+        question = bulk.Question(context=context, request=request, at=at, draws=draws, seed=seed)
+        return await bulk.compute(_GEOLOCATION, slots, question)
 
     return routes
 
