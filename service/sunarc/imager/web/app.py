@@ -13,9 +13,11 @@ from fastapi.responses import FileResponse
 from prometheus_client import CollectorRegistry, ProcessCollector
 from pydantic import BaseModel
 from pydantic.json_schema import JsonSchemaMode, models_json_schema
+from starlette.datastructures import Headers
 from starlette.middleware.cors import CORSMiddleware
 from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddleware
 from starlette.staticfiles import StaticFiles
+from starlette.types import Receive, Scope, Send
 
 import sunarc
 from sunarc.calibration.answers.direction_table import lookup
@@ -152,6 +154,15 @@ _COMPRESSED_ALREADY = (
 )
 
 
+class _Compression(GZipMiddleware):
+    """Compresses answers for clients that accept it; no cache distinguishes the answers to a POST."""
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on."""
+        plain = scope.get("method") == "POST" and "gzip" not in Headers(scope=scope).get("accept-encoding", "")
+        await (self.app(scope, receive, send) if plain else super().__call__(scope, receive, send))
+
+
 def create_app(
     *,
     archive: Archive,
@@ -272,7 +283,7 @@ def _add_guards(app: FastAPI, context: ApiContext, faults: problems.FaultLog, co
     """Put the guards of every request before the application, the innermost first."""
     options = context.options
     app.add_middleware(
-        GZipMiddleware,
+        _Compression,
         minimum_size=_WORTH_COMPRESSING_BYTES,
         compresslevel=_COMPRESSION_LEVEL,
         exclude_content_types=_COMPRESSED_ALREADY,
