@@ -285,7 +285,7 @@ async def compute(computation: Computation, slots: ComputeSlots, question: Quest
     if media_type != _JSON:
         fault = Fault(field="content-type", problem=f"{media_type!r} is not read here", remedy=f"send {_JSON} or {NPY}")
         raise RefusedError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, fault)
-    body = await request.body()
+    body: bytes = request.state.body
     if len(body) <= _SMALL_BYTES:
         # On the event loop only where nothing has to be read or made: that would hold up every other request.
         if not request.scope["query_string"] and not request.path_params["camera"] and b'"at"' not in body:
@@ -352,7 +352,7 @@ async def _rows(computation: Computation, slots: ComputeSlots, question: Questio
     request, most = question.request, question.context.options.max_rows
     client = client_network(request.scope)
     slots.require_room(client)
-    rows = read_rows(await request.body(), columns=computation.columns, most=most)
+    rows = read_rows(request.state.body, columns=computation.columns, most=most)
     if rows.dtype == np.float32 and computation.times(rows) is not None:
         problem = "holds times in single precision, which are off by up to 64 s"
         raise InputError(field="body", problem=problem, remedy="send float64")

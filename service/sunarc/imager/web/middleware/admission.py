@@ -11,6 +11,7 @@ import socket
 from collections import OrderedDict
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from http import HTTPStatus
 from ipaddress import ip_address
 from pathlib import Path
@@ -24,7 +25,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from sunarc.common.errors import ConfigurationError
 from sunarc.common.foreign_files import MOST_SECRET_BYTES, read_regular
 from sunarc.imager.web.middleware.http_only import HttpMiddleware
-from sunarc.imager.web.middleware.shared_quota import ClientAddressError, client_network
+from sunarc.imager.web.middleware.shared_quota import LONGEST_ADDRESS, ClientAddressError, client_network
 from sunarc.imager.web.options import ApiOptions
 from sunarc.imager.web.problems import Fault, RefusedError, problem_response, refusal_response
 
@@ -284,9 +285,12 @@ class AllowedHosts(HttpMiddleware):
         if found is None:
             return False
         name = found[1].lower().rstrip(".")
-        return name in self.names or name.endswith(".localhost") or _is_address(name.strip("[]"))
+        if name in self.names or name.endswith(".localhost"):
+            return True
+        return len(name) <= LONGEST_ADDRESS and _is_address(name.strip("[]"))
 
 
+@lru_cache
 def _is_address(name: str) -> bool:
     try:
         ip_address(name)

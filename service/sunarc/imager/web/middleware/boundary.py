@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from datetime import datetime
 from http import HTTPStatus
 
-from starlette.datastructures import Headers
 from starlette.types import Message, Receive, Scope, Send
 
 from sunarc.common.utc import rfc3339
@@ -96,14 +95,14 @@ class Boundary(HttpMiddleware):
 
     def _refusal(self, scope: Scope) -> UnreadError | None:
         """Return the refusal of a request whose body will not be read."""
-        headers = Headers(scope=scope)
-        length = headers.get("content-length")
+        headers = dict(scope["headers"])
+        length = headers.get(b"content-length")
         if length is None:
             return None
-        if "transfer-encoding" in headers:
+        if b"transfer-encoding" in headers:
             return _TWO_LENGTHS
         most = most_bytes(scope, self.max_body_bytes, self.max_array_bytes)
-        return too_large(most) if length.isdecimal() and int(length) > most else None
+        return too_large(most) if length.isdigit() and int(length) > most else None
 
 
 def _missing_headers(scope: Scope, present: list[tuple[bytes, bytes]]) -> Iterator[tuple[bytes, bytes]]:

@@ -77,7 +77,7 @@ class Occupancy(HttpMiddleware):
                 return
             if body is None:
                 return
-            scope["state"] = {**scope.get("state", {}), "use": use}
+            scope["state"] = {**scope.get("state", {}), "use": use, "body": body}
             receive = _replay_body(body, receive)
         try:
             place.grow(1)

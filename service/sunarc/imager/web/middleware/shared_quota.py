@@ -6,6 +6,7 @@ import asyncio
 from collections import Counter
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from http import HTTPStatus
 from ipaddress import IPv6Address, ip_address
 from types import TracebackType
@@ -142,15 +143,14 @@ async def answer_held(
             await refused.response(scope["path"])(scope, receive, send)
 
 
+LONGEST_ADDRESS = 64
+"""Characters of an IPv6 address with its zone, and more."""
+_MOST_ADDRESSES = 1024
 _IPV6_PREFIX_BITS = 64  # whoever has one IPv6 address has 2^64
 
 
 class ClientAddressError(ValueError):
     """Error of a forwarded client that is no address."""
-
-
-_CLIENT = "sunarc.client"
-"""Key of a request's scope: its client, once it was computed."""
 
 
 def client_network(scope: Scope) -> str | None:
@@ -162,17 +162,20 @@ def client_network(scope: Scope) -> str | None:
     ------
     ClientAddressError : it is no address.
     """
-    if _CLIENT not in scope:
-        scope[_CLIENT] = _network(scope["client"][0]) if scope.get("client") else None
-    client: str | None = scope[_CLIENT]
-    return client
+    host = scope["client"][0] if scope.get("client") else None
+    if host is None:
+        return None
+    if len(host) > LONGEST_ADDRESS:
+        raise ClientAddressError(f"{host[:LONGEST_ADDRESS]!r} is not an address")
+    return _network(host)
 
 
+@lru_cache(_MOST_ADDRESSES)
 def _network(host: str) -> str | None:
     try:
         address = ip_address(host)
     except ValueError:
-        raise ClientAddressError(f"{host[:64]!r} is not an address") from None
+        raise ClientAddressError(f"{host!r} is not an address") from None
     if isinstance(address, IPv6Address):
         address = address.ipv4_mapped or address
     if address.is_loopback:
