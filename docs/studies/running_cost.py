@@ -86,7 +86,7 @@ def main() -> None:
         config.write_text(_CONFIG.format(state=state, cadence=arguments.cadence, packet_socket=packet_socket))
         _wait_for(Path(folder) / "truth.json")
         _calibrate(Path(folder))
-        with _running([sys.executable, "-m", "sunarc", "serve", "--config", str(config)]) as service:
+        with _running([sys.executable, "-m", "sunarc", "serve", "--config", str(config)], **_unit()) as service:
             _wait(60.0)
             _measure(service.pid, minutes=arguments.minutes)
         images = list((state / "images").rglob("*"))
@@ -135,7 +135,8 @@ def _measure(pid: int, *, minutes: float) -> None:
         _wait(min(60.0, began + minutes * 60.0 - _CLOCK.monotonic() + 0.01))
         elapsed_s = _CLOCK.monotonic() - began
         share = 100.0 * (_spent_s(pid) - before) / elapsed_s
-        print(f"{elapsed_s:6.0f} s  {share:5.2f} % of a core  {_resident_mib(pid):.0f} MiB", flush=True)
+        memory = f"{_mib(pid, 'VmRSS'):.0f} MiB, {_mib(pid, 'RssAnon'):.0f} of them not of files"
+        print(f"{elapsed_s:6.0f} s  {share:5.2f} % of a core  {memory}", flush=True)
 
 
 def _wait(seconds: float) -> None:
@@ -153,14 +154,22 @@ def _spent_s(pid: int) -> float:
     return sum(int(ticks) for ticks in fields[11:15]) / _TICKS
 
 
-def _resident_mib(pid: int) -> float:
-    line = next(line for line in Path(f"/proc/{pid}/status").read_text().splitlines() if line.startswith("VmRSS"))
+def _mib(pid: int, kind: str) -> float:
+    """Return the resident memory of a process, of a kind that proc(5) names."""
+    line = next(line for line in Path(f"/proc/{pid}/status").read_text().splitlines() if line.startswith(kind))
     return int(line.split()[1]) / 1024.0
 
 
+def _unit() -> dict[str, str]:
+    """Return the variables that the service's unit sets."""
+    unit = (Path(__file__).parents[2] / "deploy" / "sunarc.service").read_text("utf-8")
+    lines = [line.partition("=")[2] for line in unit.splitlines() if line.startswith("Environment=")]
+    return dict(one.split("=", 1) for line in lines for one in line.split() if "%" not in one)
+
+
 @contextmanager
-def _running(command: list[str]) -> Iterator[subprocess.Popen[bytes]]:
-    process = subprocess.Popen(command)  # noqa: S603 - our own programs
+def _running(command: list[str], **variables: str) -> Iterator[subprocess.Popen[bytes]]:
+    process = subprocess.Popen(command, env=os.environ | variables)  # noqa: S603 - our own programs
     try:
         yield process
     finally:
