@@ -81,7 +81,7 @@ def known_grid(grid: HyperparameterGrid, scales: tuple[float, float], lens: Floa
     if lens is not None:
         lens_scales, of_lens = lens[None], np.zeros(1)
     if amplitude <= 0.0:
-        floor = replace(grid.up_to(0.0), lens_scales=lens_scales)
+        floor = replace(grid, amplitudes=grid.amplitudes[:1], lens_scales=lens_scales)
         return replace(floor, log_prior=np.zeros((1, grid.lengths.size, 1)) + of_lens)
     size = _size(grid)
     basis = wave_basis(width=size[0], height=size[1], shortest_px=length, longest_px=length)

@@ -16,7 +16,6 @@ from real_like_tracks import Draw, drawn_aside, real_like_track
 
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.fit.marginal_likelihood import scale_grid
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
 from sunarc.calibration.solve.priors import lens_prior
@@ -112,13 +111,6 @@ def test_the_lowest_of_the_starts_is_the_one_that_meets_the_sightings() -> None:
     missed = good.copy()
     missed[5] += 60.0
     assert lowest(problem, seen, [missed, good], precision=np.full(problem.size, 1e-6)) is good
-
-
-def test_a_grid_of_scales_without_the_larger_fields_keeps_the_smallest() -> None:
-    grid = scale_grid(width=1000, height=1000, floor_px=0.002, radial_px=2.0, decentering_px=0.7)
-    assert grid.up_to(1.0).amplitudes.max() <= 1.0
-    assert grid.up_to(0.0).amplitudes.tolist() == [grid.amplitudes[0]]
-    assert grid.up_to(1.0).log_prior.shape[0] == grid.up_to(1.0).amplitudes.size
 
 
 @pytest.mark.real

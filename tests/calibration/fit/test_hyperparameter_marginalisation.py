@@ -73,7 +73,7 @@ def _posterior(
     system: LinearSystem, grid: HyperparameterGrid, problem: FitProblem, unknowns: FloatArray | None = None
 ) -> PosteriorCovariance:
     about = system.at if unknowns is None else unknowns
-    return stated_posterior(problem, system, about, grid=grid, scales=SCALES, mean=None)
+    return stated_posterior(problem, system, about, grid=grid, mean=None)
 
 
 def _factor(found: PosteriorCovariance, grid: HyperparameterGrid) -> float:
@@ -102,7 +102,7 @@ def test_with_one_amplitude_it_is_the_mixture_s_covariance(
 ) -> None:
     one = _one_amplitude(grid)
     found = _posterior(system, one, problem)
-    expected = _mixture(system.normal(), one, at) + module.decentering_covariance(problem, system, SCALES, grid)
+    expected = _mixture(system.normal(), one, at)
     factor = _factor(found, one)
     assert factor == pytest.approx(1.0, abs=0.1)
     # 1.5 % of the probability is left out
@@ -125,10 +125,9 @@ def test_with_one_choice_it_is_that_fit_s_own(
     scales = PriorScales(float(grid.amplitudes[5]), float(grid.lengths[1]), *map(float, grid.lens_scales[1]))
     fit = marginal_fit(system.normal(), grid.basis, scales)
     found = _posterior(system, single, problem, fit.unknowns)
-    beside = module.decentering_covariance(problem, system, SCALES, single)
     factor = _factor(found, single)
     assert factor == pytest.approx(1.0, abs=1e-6)
-    np.testing.assert_allclose(found.covariance / factor**2, fit.covariance + beside, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(found.covariance / factor**2, fit.covariance, rtol=1e-6, atol=1e-12)
     assert found.mixture is not None
     np.testing.assert_allclose(found.mixture.scales, 1.0, atol=1e-6)
     assert found.field.length_px == pytest.approx(scales.length_px)
@@ -139,13 +138,12 @@ def test_pixels_that_may_not_be_square_have_their_share(
     system: LinearSystem, grid: HyperparameterGrid, problem: FitProblem, at: FloatArray, share: float
 ) -> None:
     one = _one_amplitude(grid)
-    found = stated_posterior(problem, system, at, grid=one, scales=SCALES, mean=None, stretched=share)
+    found = stated_posterior(problem, system, at, grid=one, mean=None, stretched=share)
     # the same sightings by a problem that has the wide prior, whose unknowns are larger units
     wide, units = free_pixel_aspect(problem.prior), np.ones(at.size)
     units[STRETCH] = wide.basis[STRETCH, STRETCH] / problem.prior.basis[STRETCH, STRETCH]
     of_wide = _mixture(replace(system, rows=system.rows * units, at=at / units).normal(), one, at / units)
     expected = (1.0 - share) * _mixture(system.normal(), one, at) + share * of_wide * np.outer(units, units)
-    expected += module.decentering_covariance(problem, system, SCALES, grid)
     scale = np.sqrt(np.diag(expected))
     scaled = found.covariance / np.outer(scale, scale) / _factor(found, one) ** 2
     np.testing.assert_allclose(scaled, expected / np.outer(scale, scale), atol=0.08)
@@ -175,8 +173,7 @@ def test_the_stated_95_percent_hold_95_percent_of_the_mixture(
     system: LinearSystem, grid: HyperparameterGrid, problem: FitProblem, posterior: PosteriorCovariance
 ) -> None:
     """Against draws from every choice, at places over the sky; and 50, 68 and 99 % by the mixture's own factors."""
-    sums, products = field_sums(system.normal(), grid), module.decentering_covariance(problem, system, SCALES, grid)
-    choices = module.plausible(sums, grid, system.at, None, products)
+    choices = module.plausible(field_sums(system.normal(), grid), grid, system.at)
     rows, values = _sky_rows(problem, system.at, grid.basis)
     moments = module.at_probes(choices, rows, values)
     stated = rows @ posterior.covariance @ rows.swapaxes(1, 2) + posterior.field.covariance(rows, values)

@@ -12,7 +12,12 @@ from tests.calibration.conftest import SGP
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.lens_library import conditioning
-from sunarc.calibration.lens_library.conditioning import apply_lens_prior, conditioned_lens
+from sunarc.calibration.lens_library.conditioning import (
+    LENS_MISFIT_PX,
+    apply_lens_prior,
+    conditioned_lens,
+    is_met_as_well,
+)
 from sunarc.calibration.lens_library.lens_type import (
     LensType,
     UnitSpread,
@@ -135,3 +140,26 @@ def test_it_is_not_solved_again_without_its_type(fitted: Fitted, lens: LensType)
 
 def test_the_default_spread_is_wider_than_the_stated_one() -> None:
     assert np.all(UnitSpread().scales(600.0) >= UnitSpread(focal_length=0.003, center_px=8.0).scales(600.0))
+
+
+def test_without_a_field_a_camera_meets_sightings_as_well_within_the_ratio_alone() -> None:
+    distance = np.abs(np.random.default_rng(1).normal(0.0, 0.2, 500))
+    assert is_met_as_well(distance, distance, sigma=0.2, field_px=0.0, ratio=1.02)
+    assert is_met_as_well(0.5 * distance, distance, sigma=0.2, field_px=0.0, ratio=1.02)
+    assert not is_met_as_well(1.1 * distance, distance, sigma=0.2, field_px=0.0, ratio=1.02)
+
+
+@pytest.mark.parametrize(("missed", "reached"), [(1.6, True), (3.0, False)])
+def test_a_proven_field_lets_the_camera_miss_by_twice_as_much(missed: float, *, reached: bool) -> None:
+    rng = np.random.default_rng(1)
+    noise = rng.normal(0.0, 0.03, (3000, 2))
+    distance, off = np.hypot(*noise.T), np.hypot(*(noise + rng.normal(0.0, 0.3 * missed, noise.shape)).T)
+    assert is_met_as_well(off, distance, sigma=0.03, field_px=0.3, ratio=1.02) is reached
+    assert not is_met_as_well(off, distance, sigma=0.03, field_px=0.0, ratio=1.02)
+
+
+def test_no_field_lets_the_camera_miss_by_pixels() -> None:
+    distance = np.abs(np.random.default_rng(2).normal(0.0, 0.3, 500))
+    for field_px in (LENS_MISFIT_PX, 7.0):
+        assert is_met_as_well(distance + 1.0, distance, sigma=0.3, field_px=field_px, ratio=1.1)
+        assert not is_met_as_well(distance + 3.0, distance, sigma=0.3, field_px=field_px, ratio=1.1)

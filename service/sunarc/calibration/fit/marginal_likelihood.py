@@ -529,11 +529,6 @@ class HyperparameterGrid:
     log_prior: FloatArray
     basis: WaveBasis
 
-    def up_to(self, amplitude_px: float) -> HyperparameterGrid:
-        """Return the grid without larger fields than this; the smallest one always stays."""
-        count = max(int(np.sum(self.amplitudes <= amplitude_px)), 1)
-        return replace(self, amplitudes=self.amplitudes[:count], log_prior=self.log_prior[:count])
-
 
 def scale_grid(
     *, width: int, height: int, floor_px: float, radial_px: float, decentering_px: float

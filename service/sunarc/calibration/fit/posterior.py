@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +16,6 @@ import numpy as np
 from sunarc import _kernels
 from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.fit.marginal_likelihood import (
-    ROUNDING,
     FieldSums,
     HyperparameterGrid,
     MarginalFit,
@@ -25,16 +23,13 @@ from sunarc.calibration.fit.marginal_likelihood import (
     PriorScales,
     Turned,
     field_sums,
-    inverses,
-    normal_sums,
     normalised,
-    prior_precision,
 )
 from sunarc.calibration.fit.normal_equations import LinearSystem
 from sunarc.calibration.model.residual_field import Field
 from sunarc.calibration.model.result import ErrorMixture
 from sunarc.calibration.model.sightings import Sightings
-from sunarc.calibration.solve.priors import DECENTERING, HIGHER, STRETCH, free_pixel_aspect
+from sunarc.calibration.solve.priors import STRETCH, free_pixel_aspect
 from sunarc.calibration.solve.problem import FitProblem
 from sunarc.common.array_types import FloatArray, IntArray
 from sunarc.optics.displacement import WaveBasis
@@ -161,7 +156,6 @@ class Choices:
     known (f, p, p), back (f, p, q): the covariance of the unknowns where those q whose scales are tried are known, and
     the derivatives by these, turned; covariance (k, q, q): theirs under each choice; see `LensScaleEquations`.
     shift (k, p): from the fit that is doubted; field_shift (k, 2, m): that of the field's mean, where it is predicted.
-    in addition to (p, p): the part of the unknowns' covariance whatever the choice.
     """
 
     share: FloatArray
@@ -174,7 +168,6 @@ class Choices:
     covariance: FloatArray
     shift: FloatArray
     field_shift: FloatArray | None
-    beside: FloatArray
 
     def mixed(self, other: Choices, share: float) -> Choices:
         """Return these and those of another prior, which have a share of the probability."""
@@ -205,7 +198,7 @@ class Choices:
         cross = np.sum([part @ transforms[length].T for length, part in in_axes.items()], axis=0)
         if self.field_shift is not None:
             cross = cross + np.einsum("k,kp,kam->apm", self.share, self.shift, self.field_shift, optimize=True)
-        return np.sum(means, axis=0) + self.beside + (self.shift.T * self.share) @ self.shift, cross
+        return np.sum(means, axis=0) + (self.shift.T * self.share) @ self.shift, cross
 
     def moments(self, left: FloatArray, right: FloatArray, beside: FloatArray, shift: FloatArray) -> FloatArray:
         """Return (k, 3, n): L' C R made symmetric, xx, xy and yy at n places, of each field's L and R (f, 2, p, n).
@@ -224,7 +217,6 @@ def stated_posterior(
     unknowns: FloatArray,
     *,
     grid: HyperparameterGrid,
-    scales: PriorScales,
     mean: FloatArray | None,
     stretched: float = 0.0,
 ) -> PosteriorCovariance:
@@ -235,18 +227,17 @@ def stated_posterior(
     problem, system : of the fit; the system is about the unknowns.
     unknowns : the fit, (p,).
     grid : the scales that are tried.
-    scales : those of the fit.
     mean : (2, m) coefficients of the field that is part of the prediction; None: it has no part in it, and its errors
         are those before any sighting.
     stretched : the probability that pixels are not square, of which the problem may have the prior already.
     """
-    normal, products = system.normal(), decentering_covariance(problem, system, scales, grid)
+    normal = system.normal()
     sums = field_sums(normal, grid)
-    choices = plausible(sums, grid, unknowns, mean, products)
+    choices = plausible(sums, grid, unknowns, mean)
     wide = free_pixel_aspect(problem.prior).basis[STRETCH, STRETCH]
     square = (problem.prior.basis[STRETCH, STRETCH] / wide) ** 2
     if stretched > _NEGLIGIBLE_SHARE and np.any(square != 1.0):
-        choices = choices.mixed(plausible(sums, grid, unknowns, mean, products, square=square), stretched)
+        choices = choices.mixed(plausible(sums, grid, unknowns, mean, square=square), stretched)
     power = choices.share * choices.amplitude**2
     amplitude = math.sqrt(float(power.sum()))
     length = math.exp(float(power @ np.log(choices.length) / power.sum()))
@@ -283,7 +274,6 @@ def plausible(
     grid: HyperparameterGrid,
     unknowns: FloatArray,
     mean: FloatArray | None = None,
-    beside: FloatArray | None = None,
     *,
     square: FloatArray | float = 1.0,
 ) -> Choices:
@@ -293,7 +283,6 @@ def plausible(
     ----------
     sums : with the fields of the grid.
     grid, unknowns, mean : see `stated_posterior`.
-    beside : (p, p) the part of each covariance of the unknowns in addition; None: nothing.
     square : prior precisions of the aspect ratio and of the skew, (2,) or of both.
     """
     weight = normalised(grid.log_prior + sums.log_evidence(grid.lens_scales, square))
@@ -332,7 +321,6 @@ def plausible(
         covariance=reduced,
         shift=sums.at - unknowns + fitted,
         field_shift=field_shift,
-        beside=np.zeros((sums.at.size,) * 2) if beside is None else beside,
     )
 
 
@@ -360,9 +348,8 @@ def at_probes(choices: Choices, rows: FloatArray, values: FloatArray) -> FloatAr
     if choices.field_shift is not None:
         left = right = by_unknowns - pull
         left_over -= [in_axes[one.length_px] ** 2 @ (one.amplitude_px**2 - one.shrink) for one in choices.fields]
-    in_addition = (rows @ choices.beside @ rows.swapaxes(1, 2))[:, [0, 0, 1], [0, 1, 1]].T
     of_field = np.maximum(left_over, 0.0)[:, None] * np.array([1.0, 0.0, 1.0])[:, None]
-    return choices.moments(left, right, in_addition + of_field, shift)
+    return choices.moments(left, right, of_field, shift)
 
 
 def shown_sky(problem: FitProblem, unknowns: FloatArray) -> tuple[Sightings, FloatArray, FloatArray]:
@@ -388,155 +375,3 @@ def _mixture(share: FloatArray, moments: FloatArray, stated: FloatArray, pixels:
     three, bounds = np.ascontiguousarray(stated.reshape(-1, 4).T[[0, 1, 3]]), np.r_[0.0, np.cumsum(SHARES)]
     upto = _kernels.moments_below(moments, share, three, _COS_DOUBLED, bounds, _SMALLEST)
     return ErrorMixture(shares=SHARES, pixels_px=pixels, scales=np.sqrt(np.diff(upto, axis=1) / SHARES))
-
-
-_DECENTERED = np.r_[DECENTERING, HIGHER]
-_DRAWN = 96
-_EVENLY = np.array([0.7548776662466927, 0.5698402909980532])
-"""Steps of Roberts's sequence, which fills the unit square evenly."""
-_FEW_PX = 1e-3
-"""Weight of the prior with the squares over the sky, where unknowns are to move it as the products do."""
-
-
-class _Six(NamedTuple):
-    """Information of sightings about p1, p2, p1 p3, p2 p3, p1 p4 and p2 p4, all else eliminated.
-
-    information (6, 6), pull (6,): about 0. at (4,), values (6,): p1 to p4 of the fit, and the six.
-    others (o,), by_six (o, 6): the places of all else, and by how much it changes with the six.
-    scales_px, log_prior (s,): of the decentering.
-    """
-
-    information: FloatArray
-    pull: FloatArray
-    at: FloatArray
-    values: FloatArray
-    others: IntArray
-    by_six: FloatArray
-    scales_px: FloatArray
-    log_prior: FloatArray
-
-    @classmethod
-    def of(cls, problem: FitProblem, system: LinearSystem, scales: PriorScales, grid: HyperparameterGrid) -> _Six:
-        """Return the information of the sightings of a fit."""
-        at, others = system.at, np.setdiff1d(np.arange(system.at.size), _DECENTERED)
-        columns, n = _by_six(problem, system.observed, at), others.size
-        values = np.outer(np.r_[1.0, at[HIGHER]], at[DECENTERING]).ravel()
-        normal = normal_sums(
-            np.concatenate([system.rows[..., others], columns], axis=-1),
-            system.basis_values,
-            system.residual + columns @ values,
-            system.observed.information,
-            at=np.concatenate([at[others], np.zeros(6)]),
-            ff=system.basis_products,
-        )
-        turned = Turned.of(normal, system.basis, scales.length_px)
-        shrink = turned.axes.posterior_variances(np.array([scales.amplitude_px]))[0]
-        known, pull = normal.jj - turned.absorbed(shrink), normal.jr - turned.explained(shrink)
-        prior = prior_precision(at.size, scales.radial_px, scales.decentering_px, n_unit=system.n_unit)[others]
-        by_six = -inverses(known[:n, :n] + np.diag(prior + ROUNDING * np.diag(normal.jj)[:n])) @ known[:n, n:]
-        size, axes = np.linalg.eigh(known[n:, n:] + known[n:, :n] @ by_six)
-        scales_px, first = np.unique(grid.lens_scales[:, 1], return_index=True)
-        return cls(
-            information=(axes * np.maximum(size, 0.0)) @ axes.T,  # below 0 is rounding
-            pull=pull[n:] + by_six.T @ (pull[:n] - prior * at[others]),
-            at=at[_DECENTERED],
-            values=values,
-            others=others,
-            by_six=by_six,
-            scales_px=scales_px,
-            log_prior=grid.log_prior[0, 0, first],
-        )
-
-    def slope(self) -> FloatArray:
-        """Return (6, 4): the derivatives of the six by p1 to p4 at the fit."""
-        p, higher = self.at[:2], np.r_[1.0, self.at[2:]]
-        return np.concatenate([np.kron(higher[:, None], np.eye(2)), np.kron(np.eye(3)[:, 1:], p[:, None])], axis=1)
-
-    def second_moment(self) -> FloatArray:
-        """Return (6, 6): that of the six about the fit, p1 and p2 being integrated out where p3 and p4 are known."""
-        drawn, log_share = self._drawn_higher()
-        by_p = np.concatenate([np.ones((len(drawn), 1)), drawn], axis=1)
-        to_six = (by_p[:, :, None, None] * np.eye(2)).reshape(-1, 6, 2)
-        information, pull = to_six.swapaxes(1, 2) @ self.information @ to_six, to_six.swapaxes(1, 2) @ self.pull
-        prior = np.repeat(self.scales_px[:, None] ** -2, 2, axis=1)
-        return self._moment(to_six, information, pull[:, None], prior, log_share[:, None], self.values)
-
-    def gaussian_covariance(self) -> FloatArray:
-        """Return (6, 6): the same where the six are linear in p1 to p4."""
-        slope = self.slope()
-        prior = np.concatenate(
-            [np.repeat(self.scales_px[:, None] ** -2, 2, axis=1), np.ones((len(self.scales_px), 2))], 1
-        )
-        pull = slope.T @ (self.pull - self.information @ self.values) - prior * self.at
-        log_share = -0.5 * prior @ self.at**2
-        return self._moment(slope[None], (slope.T @ self.information @ slope)[None], pull[None], prior, log_share, 0.0)
-
-    def _moment(  # noqa: PLR0917 - a Gaussian, piece by piece
-        self,
-        to_six: FloatArray,
-        information: FloatArray,
-        pull: FloatArray,
-        prior: FloatArray,
-        log_share: FloatArray,
-        about: FloatArray | float,
-    ) -> FloatArray:
-        """Return (6, 6) of g Gaussians (g, 6, u) under s prior precisions (s, u), by their evidence."""
-        covariance = np.linalg.inv(information[:, None] + prior[:, None] * np.eye(prior.shape[1]))
-        mean = (covariance @ pull[..., None])[..., 0]
-        log_weight = 0.5 * (np.sum(mean * pull, axis=-1) + np.linalg.slogdet(covariance)[1])
-        log_weight = log_weight + log_share + self.log_prior - 2.0 * np.log(self.scales_px)
-        weight = np.exp(log_weight - log_weight.max())
-        weight /= weight.sum()
-        off = (to_six[:, None] @ mean[..., None])[..., 0] - about
-        within = to_six @ np.einsum("gs,gsuv->guv", weight, covariance) @ to_six.swapaxes(1, 2)
-        return np.asarray(np.sum(within, axis=0) + np.einsum("gs,gsi,gsj->ij", weight, off, off, optimize=True))
-
-    def _drawn_higher(self) -> tuple[FloatArray, FloatArray]:
-        """Return p3 and p4 (g, 2), half of their prior and half of the Gaussian, and the log of the prior over both."""
-        normal = np.vectorize(NormalDist().inv_cdf)((0.5 + np.arange(1, _DRAWN + 1)[:, None] * _EVENLY) % 1.0)
-        slope, widest = self.slope(), self.scales_px.max() ** -2
-        precision = slope.T @ self.information @ slope + np.diag([widest, widest, 1.0, 1.0])
-        root = np.linalg.cholesky(np.linalg.inv(precision)[2:, 2:])
-        drawn = np.concatenate([normal, self.at[2:] + normal @ root.T])
-        near = np.linalg.solve(root, (drawn - self.at[2:]).T)
-        of_prior = -0.5 * np.sum(drawn**2, axis=1)
-        log_gaussian = -0.5 * np.sum(near**2, axis=0) - np.sum(np.log(np.diag(root)))
-        return drawn, of_prior - np.logaddexp(of_prior, log_gaussian)
-
-
-def decentering_covariance(
-    problem: FitProblem, system: LinearSystem, scales: PriorScales, grid: HyperparameterGrid
-) -> FloatArray:
-    """Return (p, p): the part of the unknowns' covariance because the decentering is not linear in p1 to p4.
-
-    It is (p1, p2) × (1 + p3 θ² + p4 θ⁴): linear in six numbers, and in p1 and p2 where p3 and p4 are known. Where p1
-    and p2 are near 0 the other two are not seen, nor the effect of other p1 and p2 with them: a Gaussian about the
-    fit is then far too narrow. By how much the second moment of the six is larger than its own is returned, as that
-    of unknowns that move the sky alike.
-    """
-    six, at = _Six.of(problem, system, scales, grid), system.at
-    sky, _, rows = shown_sky(problem, at)
-    if not len(sky):
-        return np.zeros((at.size, at.size))
-    own, columns = rows.reshape(-1, at.size), _by_six(problem, sky, at).reshape(-1, 6)
-    moved = own[:, six.others] @ six.by_six + columns
-    size, axes = np.linalg.eigh(moved.T @ moved)
-    root = np.sqrt(np.maximum(size, _RIDGE * size[-1]))
-    larger, turned = np.linalg.eigh((axes * root).T @ (six.second_moment() - six.gaussian_covariance()) @ (axes * root))
-    factor = (axes / root) @ turned * np.sqrt(np.maximum(larger, 0.0))
-    prior = prior_precision(at.size, scales.radial_px, scales.decentering_px, n_unit=system.n_unit)
-    alike = np.linalg.solve(own.T @ own + _FEW_PX * np.diag(prior), own.T @ columns @ factor)
-    alike[six.others] += six.by_six @ factor
-    return np.asarray(alike @ alike.T)
-
-
-def _by_six(problem: FitProblem, observed: Sightings, at: FloatArray) -> FloatArray:
-    """Return (n, 2, 6): derivatives of the prediction by p1, p2, p1 p3, p2 p3, p1 p4 and p2 p4."""
-    found = []
-    for one in range(DECENTERING.start, DECENTERING.stop):
-        # those by p3 and p4 are linear in p1 and p2: where one of them is 1 and the other 0, they are those sought
-        unit = at.copy()
-        unit[_DECENTERED] = 0.0
-        unit[one] = 1.0
-        found.append(problem.linearised(unit, observed)[1][..., [one, HIGHER.start, HIGHER.start + 1]])
-    return np.stack(found, axis=-1).reshape(*found[0].shape[:2], 6)

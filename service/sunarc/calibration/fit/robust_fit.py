@@ -2,7 +2,7 @@
 
 Each round weighs the sightings by the residuals of the last one, gathers them into bins, finds the most probable
 scales, and solves with the field marginalised. The first round lets the field be large, so that the noise is measured
-from residuals that no smooth error explains. The field may not cost the camera the sightings.
+from residuals that no smooth error explains.
 
 Errors that many sightings share are blocks of unknowns, see `effects`. Where the sightings do not prove one, the camera
 is the one that fits without it: its possible effect is then in the covariance alone.
@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
@@ -66,92 +65,19 @@ from sunarc.calibration.start.multistart import (
 )
 from sunarc.common.array_types import BoolArray, FloatArray, IntArray
 from sunarc.common.robust_statistics import (
-    CUT,
     counted_roots,
     is_shown,
     robust_sigma,
     surely_well_behaved,
-    tukey_loss,
 )
 from sunarc.optics.camera import Camera
 from sunarc.optics.displacement import WaveBasis
 
-# How well a fit must meet the sightings, by another one: a field, or a prior of a type of lens, may not cost the data.
-
-_SCALES = (0.7, 1.0, 1.4)
-"""The cost is compared at these multiples of the noise: a fit must not win by the choice of its scale."""
-LENS_MISFIT_PX = 1.0
-"""px per axis; lenses are not as modelled by tenths of px, the paper's own by 0.5 to 1.2. A field that takes more from
-the camera has taken over what its parameters explain."""
-FIELD_EXCESS = 2.0
-"""Root mean square along the sun's way over the amplitude of a field. With a kernel k there are 2 / mean(k²)
-independent parts there, both components counted: four of a field of 0.36 of the image, nine of one of 0.16, on a day as
-on several. 99 % of the chi-squares of four are below 3.3 times their mean, that is 1.8 times the amplitude, and that is
-itself estimated."""
-_MEDIAN_OF_SIGMA = math.sqrt(2.0 * math.log(2.0))
-"""Median distance of a round Gaussian over its 1-sigma per axis."""
-_FINEST = 0.9
-"""Share of the sightings that are no finer than those whose px counts in a level."""
-
-
-class AllowedLevel(NamedTuple):
-    """Level to which sightings must be met.
-
-    scales, costs (3,): scales of the loss, px, and the largest robust cost at each. median: the largest one, px.
-    """
-
-    scales: FloatArray
-    costs: FloatArray
-    median: float
-
-    def reached_by(self, distance: FloatArray) -> bool:
-        """Return whether distances (n,) between seen and modelled pixels, px, are as small."""
-        return bool(np.all(_costs(distance, self.scales) <= self.costs) and np.median(distance) <= self.median)
-
-
-def allowed_level(
-    distance: FloatArray,
-    *,
-    sigma: float,
-    field_px: float,
-    weight: float = 1.0,
-    cost_ratio: float,
-    median_ratio: float = math.inf,
-) -> AllowedLevel:
-    """Return the level that a fit must reach against another one that met the sightings at some distances.
-
-    Parameters
-    ----------
-    distance : (n,) of the other one, px.
-    sigma : px, the noise.
-    field_px : 1-sigma of the displacement outside the lens, by the data: the camera may miss them by `FIELD_EXCESS`
-        times as much, `LENS_MISFIT_PX` of it counted at most.
-    weight : what a px counts in the distances: among 5,000 stars of 0.2 px a sun of 0.03 px counts six times, and so
-        does what a field moves it by.
-    cost_ratio, median_ratio : by how much cost and median may be larger without a field.
-    """
-    missed = weight * FIELD_EXCESS * min(field_px, LENS_MISFIT_PX)
-    scales = math.hypot(sigma, missed) * np.array(_SCALES)
-    counted = float(np.sum(distance < CUT * scales[1]))
-    costs = cost_ratio * _costs(distance, scales) + counted * (missed / scales) ** 2
-    return AllowedLevel(scales, costs, math.hypot(median_ratio * float(np.median(distance)), _MEDIAN_OF_SIGMA * missed))
-
-
-def _costs(distance: FloatArray, scales: FloatArray) -> FloatArray:
-    """Return the robust costs (s,) of distances (n,) at scales (s,), px."""
-    return np.array([float(np.sum(tukey_loss(distance, sigma=float(scale)))) for scale in scales])
-
-
 _ROUNDS = 5
 _PASSES = 3
 _FIRST_FIELD_PX = 1.0
-_FIELD_MAY_COST = 1.1
-"""Robust cost with a field over that without: priors and correlated noise make it 1.04 at most where all is well."""
-_FIELD_SHRINKS = 0.25
 _FEW_PER_UNKNOWN = 5
 """Sightings for each unknown below which the fit has taken up more of their noise than can be passed over."""
-_FIELD_BOUNDS = 4
-"""How often the largest field is made smaller; 1 px is 0.004 px then, the floor's size."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -230,7 +156,6 @@ class FitState:
             self.system,
             self.unknowns,
             grid=self.grid,
-            scales=self.scales,
             mean=self.field_mean,
             stretched=probability(self.block_odds.get(PIXELS, -math.inf)),
         )
@@ -263,12 +188,11 @@ def robust_rounds(
         plain = _begun(problem, observed, plain, name)
     if PICTURE in problem.names:
         plain = _begun_with_camera(problem, observed, plain)
-    state = _add_proven_effects(_fit_field(problem, observed, plain, grid, groups))
+    state = _add_proven_effects(_rounds(problem, observed, plain, grid, groups))
     # weighed before the camera's last step, which may bring the edge of what it shows past a low sun
     noise, shown = state.noise, is_shown(state.residual)
     noise = replace(noise, weight=noise.weight * shown, information=noise.information * shown)
-    # a field that was bounded for the camera's sake is possible all the same
-    return replace(state, noise=noise, grid=grid)
+    return replace(state, noise=noise)
 
 
 def _begun(problem: FitProblem, observed: Sightings, unknowns: FloatArray, name: str) -> FloatArray:
@@ -300,34 +224,13 @@ def _begun_with_camera(problem: FitProblem, observed: Sightings, unknowns: Float
     return unknowns
 
 
-def _fit_field(
+def _rounds(
     problem: FitProblem, observed: Sightings, plain: FloatArray, grid: HyperparameterGrid, groups: NoiseGroups
 ) -> FitState:
     """Return the rounds' answer.
 
-    The mean of a field that is more probable than none is part of the prediction (decision 0008). One that lets the
-    camera itself miss the sightings has taken over what the lens's parameters explain: it is bounded more tightly, and
-    the rounds begin again.
+    The mean of a field that is more probable than none is part of the prediction (decision 0008).
     """
-    distance = distance_sigmas(problem, observed, plain)
-    share = surely_well_behaved(len(observed), problem.size - problem.n_unit)
-    sigma = robust_sigma(distance, share=share, floor=SMALLEST_SIGMA_PX)
-    weight = float(np.quantile(np.sqrt(observed.information), _FINEST))
-    state = _rounds(problem, observed, plain, grid, groups)
-    for _ in range(_FIELD_BOUNDS):
-        level = allowed_level(
-            distance, sigma=sigma, field_px=state.proven_field_px, weight=weight, cost_ratio=_FIELD_MAY_COST
-        )
-        if level.reached_by(distance_sigmas(problem, observed, state.unknowns)):
-            break
-        bounded = state.grid.up_to(_FIELD_SHRINKS * state.scales.amplitude_px)
-        state = _rounds(problem, observed, plain, bounded, groups)
-    return state
-
-
-def _rounds(
-    problem: FitProblem, observed: Sightings, plain: FloatArray, grid: HyperparameterGrid, groups: NoiseGroups
-) -> FitState:
     state = _begin(problem, observed, plain, grid, groups)
     for _ in range(1, _ROUNDS):
         state = _improved(state)
