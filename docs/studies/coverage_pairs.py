@@ -84,6 +84,8 @@ def pooled(pairs: list[tuple[Answers, Answers]], quantile: float) -> str:
         ratios = []
         for old, new in pairs:
             kept = [seed for seed in drawn if seed in old and seed in new]
+            if not kept:  # a case of few lenses
+                continue
             errors = np.array([[old[seed][0], new[seed][0]] for seed in kept])
             ratios.append(float(np.divide(*np.quantile(errors, quantile, axis=0)[::-1])))
         return float(np.exp(np.mean(np.log(ratios))))
