@@ -99,7 +99,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> Imager:
     def lines(_self: Transport, path: str, **_: object) -> Any:  # noqa: ANN401
         raise AskedError("GET", path)
 
-    monkeypatch.setattr(Transport, "_answer", answer)
+    monkeypatch.setattr(Transport, "_send_request", answer)
     monkeypatch.setattr(Transport, "lines", lines)
     return Imager("http://imager", calibration="best")
 
@@ -164,7 +164,7 @@ def test_a_change_is_asked_for_once(monkeypatch: pytest.MonkeyPatch) -> None:
         asked.append(request)
         raise ImagerError("busy", status=503)
 
-    monkeypatch.setattr(Transport, "_answer", busy)
+    monkeypatch.setattr(Transport, "_send_request", busy)
     with pytest.raises(ImagerError):
         Imager("http://imager").activate("a", reason="r")
     assert len(asked) == 1
@@ -213,5 +213,5 @@ def test_async_questions_run_beside_one_another(monkeypatch: pytest.MonkeyPatch)
         pages = [row async for row in imager.days()]
         return [*pages, *await asyncio.gather(imager.alive(), imager.ready())]
 
-    monkeypatch.setattr(Transport, "_answer", lambda *_: (b'{"days": [{"n": 1}, {"n": 2}], "next": null}', {}))
+    monkeypatch.setattr(Transport, "_send_request", lambda *_: (b'{"days": [{"n": 1}, {"n": 2}], "next": null}', {}))
     assert asyncio.run(asking()) == [{"n": 1}, {"n": 2}, True, True]

@@ -73,7 +73,7 @@ def test_the_sun_stands_where_it_is_in_the_middle_of_the_exposure(scene: Scene) 
 
 
 def test_a_bare_camera_sees_the_disc_far_above_full_scale_and_a_filter_brings_it_within(scene: Scene) -> None:
-    bare_at_30_us = scene._disc_rate(0.9) * 30.0
+    bare_at_30_us = scene._compute_disc_rate(0.9) * 30.0
     assert 10.0 < bare_at_30_us < 100.0
     filtered = Scene(true_camera(), SGP, options=SceneOptions(nd_transmission=0.01))
     counts = filtered.render(NOON_US, exposure_us=20.0, noise=False)

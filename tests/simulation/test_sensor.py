@@ -203,7 +203,7 @@ def test_the_discs_light_is_the_rate_behind_the_air_and_the_filter() -> None:
     scene = small_scene(
         SensorModel(hot_pixels=0, smear_us_per_row=0.0), nd_transmission=0.01, glare_strength=0.0, sky_strength=0.0
     )
-    light, smear = scene._light(NOON_US * 1e-6, (0, 0, 64, 60), 100.0)
+    light, smear = scene._compute_light(NOON_US * 1e-6, (0, 0, 64, 60), 100.0)
     sun = scene.sun_direction(NOON_US * 1e-6)
     zenith_deg = 90.0 - math.degrees(math.asin(sun[2]))
     rate = 3.0 * 0.01 * math.exp(-0.2 * float(relative_air_mass(zenith_deg)))
@@ -215,7 +215,7 @@ def test_the_discs_light_is_the_rate_behind_the_air_and_the_filter() -> None:
 
 def test_every_row_of_a_column_gets_the_smear() -> None:
     scene = small_scene(SensorModel(hot_pixels=0, smear_us_per_row=0.01), glare_strength=0.0, sky_strength=0.0)
-    light, smear = scene._light(NOON_US * 1e-6, (0, 0, 64, 60), 100.0)
+    light, smear = scene._compute_light(NOON_US * 1e-6, (0, 0, 64, 60), 100.0)
     assert smear == pytest.approx(light.sum(axis=0) * 0.01 * 20_000.0, rel=1e-3, abs=1e-3)
 
 

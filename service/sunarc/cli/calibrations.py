@@ -39,8 +39,8 @@ def list_calibrations(
     """
     settings = service_settings(config)
     with open_archive(settings.archive) as archive:
-        rows = [_row(record) for record in archive.calibrations.find(settings.name, limit=limit)]
-    print_rows(rows, ("id", "state", "from", "until", "1-sigma"), map(_cells, rows), as_json=as_json)
+        rows = [_make_row(record) for record in archive.calibrations.find(settings.name, limit=limit)]
+    print_rows(rows, ("id", "state", "from", "until", "1-sigma"), map(_format_cells, rows), as_json=as_json)
 
 
 @calibrations_cli.command()
@@ -53,7 +53,7 @@ def activate(
     """
     with open_archive(service_settings(config).archive) as archive:
         at, now = _time_or_now(start), _time_or_now(None)
-        row = _row(archive.calibrations.reinstate(calibration, at=at, decided_at=now, reason=reason))
+        row = _make_row(archive.calibrations.reinstate(calibration, at=at, decided_at=now, reason=reason))
     print_text(row, f"{row['id']} is current from {row['valid_from']}", as_json=as_json)
 
 
@@ -64,7 +64,7 @@ def pin(calibration: Id, *, config: Config = None, reason: Reason = "by hand", a
     Example: sunarc calibrations pin 20130514T063000Z-ab12cd
     """
     with open_archive(service_settings(config).archive) as archive:
-        row = _row(archive.calibrations.pin(calibration, at=_time_or_now(None), reason=reason))
+        row = _make_row(archive.calibrations.pin(calibration, at=_time_or_now(None), reason=reason))
     print_text(row, f"{row['id']} stays current until it is unpinned", as_json=as_json)
 
 
@@ -75,7 +75,7 @@ def unpin(calibration: Id, *, config: Config = None, reason: Reason = "by hand",
     Example: sunarc calibrations unpin 20130514T063000Z-ab12cd
     """
     with open_archive(service_settings(config).archive) as archive:
-        row = _row(archive.calibrations.unpin(calibration, at=_time_or_now(None), reason=reason))
+        row = _make_row(archive.calibrations.unpin(calibration, at=_time_or_now(None), reason=reason))
     print_text(row, f"{row['id']} may be replaced again", as_json=as_json)
 
 
@@ -87,7 +87,7 @@ def list_epochs(config: Config = None, *, as_json: AsJson = False) -> None:
     """
     settings = service_settings(config)
     with open_archive(settings.archive) as archive:
-        rows = [_epoch_row(epoch) for epoch in archive.epochs.find(settings.name, include_closed=True)]
+        rows = [_make_epoch_row(epoch) for epoch in archive.epochs.find(settings.name, include_closed=True)]
     cells = [
         [row["id"], row["started_at"], "closed as wrong" if row["closed"] else row["ended_at"] or "", row["reason"]]
         for row in rows
@@ -114,7 +114,7 @@ def close_epoch(
     print_text(row, f"pose epoch {epoch} is closed; {said}", as_json=as_json)
 
 
-def _row(record: CalibrationRecord) -> dict[str, Any]:
+def _make_row(record: CalibrationRecord) -> dict[str, Any]:
     row = {name: getattr(record, name) for name in _SHOWN}
     row |= {name: value and value.isoformat() for name, value in row.items() if name.startswith("valid")}
     sky = record.document.get("uncertainty", {}).get("sky_rms_deg")
@@ -126,7 +126,7 @@ def _row(record: CalibrationRecord) -> dict[str, Any]:
     }
 
 
-def _epoch_row(epoch: PoseEpoch) -> dict[str, Any]:
+def _make_epoch_row(epoch: PoseEpoch) -> dict[str, Any]:
     return {
         "id": epoch.id,
         "started_at": epoch.started_at.isoformat(),
@@ -136,7 +136,7 @@ def _epoch_row(epoch: PoseEpoch) -> dict[str, Any]:
     }
 
 
-def _cells(row: dict[str, Any]) -> list[str]:
+def _format_cells(row: dict[str, Any]) -> list[str]:
     sky, answered = row["sky_rms_deg"], row["state"] in ("current", "retired")
     times = [(row[name] or "")[:16].replace("T", " ") if answered else "" for name in ("valid_from", "valid_until")]
     state = "pinned" if row["pinned"] else row["state"]

@@ -51,11 +51,13 @@ def codes_as_markdown(codes: Iterable[Code]) -> str:
         if one.room != package:
             package = one.room
             rows.append(f"\n## `{package}/`\n\n| code | message | meaning | action |\n|---|---|---|---|\n")
-        rows.append(f"| `{one.code}` | {_plain(one.text)} | {_plain(one.meaning)} | {_plain(one.action)} |\n")
+        rows.append(
+            f"| `{one.code}` | {' | '.join(_plain_template(text) for text in (one.text, one.meaning, one.action))} |\n"
+        )
     return "".join(rows)
 
 
-def _plain(template: str) -> str:
+def _plain_template(template: str) -> str:
     """Return a template with the names of its data only, and bars that do not end a cell of the table."""
     counted = re.sub(r"\{(\w+):([a-z]{3,})\}", r"{\1} \2s", template)
     return re.sub(r"\{(\w+)[^}]*\}", r"{\1}", counted).replace("|", "\\|").replace("\n", " ")

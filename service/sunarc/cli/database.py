@@ -68,8 +68,8 @@ def export_points(
     write_points(
         service_settings(config),
         sys.stdout,
-        since=_optional_time(since, "--since"),
-        until=_optional_time(until, "--until"),
+        since=_parse_optional_time(since, "--since"),
+        until=_parse_optional_time(until, "--until"),
     )
 
 
@@ -79,14 +79,14 @@ def upgrade(state: OptionalState = None, store: Store = None) -> None:
 
     Example: sunarc db upgrade --state /var/lib/sunarc
     """
-    place = _place(state, store)
+    place = _choose_store(state, store)
     if isinstance(place, URL):
         print("the database was upgraded" if upgrade_server(place) else "the database is up to date")
         return
     state = place
     path = database_path(state)
     existed = path.exists()
-    with _locked(state):
+    with _lock_database(state):
         copy = upgrade_present(path)
     if copy is not None:
         print(f"{path} was upgraded; the former one is kept as {copy.name}")
@@ -100,7 +100,7 @@ def check_database(state: OptionalState = None, store: Store = None, *, as_json:
 
     Example: sunarc db check --state /var/lib/sunarc
     """
-    place = _place(state, store)
+    place = _choose_store(state, store)
     result = check(place if isinstance(place, URL) else database_path(place))
     found = {
         "sound": result.sound,
@@ -121,8 +121,8 @@ def downgrade_database(*, to: Annotated[str, typer.Option("--to", help="The olde
 
     Example: sunarc db downgrade --to 0001 --state /var/lib/sunarc
     """
-    path = _existing(state)
-    with _locked(state):
+    path = _require_database(state)
+    with _lock_database(state):
         copy = downgrade(path, to)
     print(f"{path} is at revision {to} now; the former one is kept as {copy.name}")
 
@@ -138,7 +138,7 @@ def backup_database(
 
     Example: sunarc db backup copy.sqlite --state /var/lib/sunarc
     """
-    path = _existing(state)
+    path = _require_database(state)
     copy = backup(path, target) if keep is None else backup_into(path, target, keep=keep, now=SystemClock().now())
     print(f"copied to {copy}")
 
@@ -164,7 +164,7 @@ def restore_database(
             field="--latest", problem=f"no sound copy is in {state / 'backups'}", remedy="name a copy of the database"
         )
     path = database_path(state)
-    with _locked(state):
+    with _lock_database(state):
         former = restore(path, copy, now=SystemClock().now())
     print(f"{path} is what {copy} was" + ("" if former is None else f"; the former one is kept as {former.name}"))
 
@@ -181,7 +181,7 @@ def export_all(
     print_rows(written, ("file", "rows"), [[name, str(n)] for name, n in written.items()], as_json=as_json)
 
 
-def _place(state: Path | None, store: str | None) -> Path | URL:
+def _choose_store(state: Path | None, store: str | None) -> Path | URL:
     """Return the state folder or the PostgreSQL database that one of two options names."""
     if state is not None and store is None:
         return state
@@ -190,14 +190,14 @@ def _place(state: Path | None, store: str | None) -> Path | URL:
     raise InputError(field="--state, --store", problem="give one of them", remedy="see --help")
 
 
-def _existing(state: Path) -> Path:
+def _require_database(state: Path) -> Path:
     """Return the database of a state folder; an error where it is missing."""
     require_file(database_path(state), command=f"sunarc db upgrade --state {state}")
     return database_path(state)
 
 
 @contextmanager
-def _locked(state: Path) -> Iterator[None]:
+def _lock_database(state: Path) -> Iterator[None]:
     """Keep the service from running while its database is replaced or migrated."""
     with disk_errors(state):
         state.mkdir(parents=True, exist_ok=True)
@@ -216,5 +216,5 @@ def note_running_service(state: Path) -> None:
         )
 
 
-def _optional_time(text: str | None, option: str) -> datetime | None:
+def _parse_optional_time(text: str | None, option: str) -> datetime | None:
     return None if text is None else parse_time(text, where=option)

@@ -113,12 +113,12 @@ def cross_checks(config: Config = None, *, as_json: AsJson = False) -> None:
     """
     with open_hub_archive(hub_settings(config).archive) as archive:
         checks = cross_check_fleet(archive, now=SystemClock().now())
-    print_text([one.as_json() for one in checks], "\n".join(map(_line, checks)), as_json=as_json)
+    print_text([one.as_json() for one in checks], "\n".join(map(_format_cross_check, checks)), as_json=as_json)
     if any(one.alarms for one in checks):
         raise typer.Exit(1)
 
 
-def _line(one: CrossCheck) -> str:
+def _format_cross_check(one: CrossCheck) -> str:
     since = "" if one.since is None else f" since {one.since.isoformat()}"
     sizes = (
         ("clock", one.clock_s, one.clock_sigma_s, " s"),

@@ -104,10 +104,10 @@ def ingest(
     if calibrate:
         calibrate_stored(settings, provisional=provisional, as_json=False, clock_error_s=clock_error)
     else:
-        print(_next_command(summary, config))
+        print(_suggest_next_command(summary, config))
 
 
-def _next_command(summary: IngestSummary, config: Path | None) -> str:
+def _suggest_next_command(summary: IngestSummary, config: Path | None) -> str:
     """Return the command to type next."""
     if not any(summary.by_verdict.values()):
         return "next: check the reasons above (the times of the files: --time-pattern, --utc-offset)"

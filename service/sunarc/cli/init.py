@@ -41,7 +41,7 @@ class _SettingQuestion(NamedTuple):
     default: str | None = None
 
 
-def _number(option: str) -> Callable[[str], Value]:
+def _make_number_reader(option: str) -> Callable[[str], Value]:
     def read(text: str) -> Value:
         try:
             return float(text.strip().removesuffix("m").replace(",", "."))
@@ -51,7 +51,7 @@ def _number(option: str) -> Callable[[str], Value]:
     return read
 
 
-def _source(text: str) -> Value:
+def _parse_source(text: str) -> Value:
     if text not in _SOURCES:
         raise FindingError("--source", Finding("answer_unknown", {"given": text, "choices": ", ".join(_SOURCES)}))
     return text
@@ -62,8 +62,10 @@ _SITE = (
               lambda text: parse_angle(text, question="--latitude", axis="NS")),
     _SettingQuestion("site.longitude", "--longitude", "Longitude, decimal (east positive) or as 97°29'05\"W",
               lambda text: parse_angle(text, question="--longitude", axis="EW")),
-    _SettingQuestion("site.altitude", "--altitude", "Altitude, metres above sea level", _number("--altitude")),
-    _SettingQuestion("source", "--source", f"Where the images come from: {', '.join(_SOURCES)}", _source, "aravis"),
+    _SettingQuestion("site.altitude", "--altitude", "Altitude, metres above sea level",
+              _make_number_reader("--altitude")),
+    _SettingQuestion("source", "--source", f"Where the images come from: {', '.join(_SOURCES)}",
+              _parse_source, "aravis"),
 )  # fmt: skip
 _OF_SOURCE = {
     "aravis": _SettingQuestion("camera.address", "--camera", "The camera's IP address", str.strip),
@@ -75,7 +77,7 @@ _WRITING = {"readable": "no", "mirrored": "yes", "unknown": None}
 """Whether the image is mirrored, by how writing in it looks."""
 
 
-def _writing(text: str) -> Value | None:
+def _parse_writing(text: str) -> Value | None:
     if text.strip() not in _WRITING:
         given = {"given": text, "choices": ", ".join(_WRITING)}
         raise FindingError("--writing", Finding("answer_unknown", given))
@@ -86,19 +88,19 @@ _MIRRORED = _SettingQuestion(
     "calibration.mirrored",
     "--writing",
     f"Writing in the picture, as on a sign or a wall: {', '.join(_WRITING)}",
-    _writing,
+    _parse_writing,
     "unknown",
 )
 _LEVEL = _SettingQuestion(
     "calibration.level_within_deg",
     "--level-within",
     "Is the camera level to 5 degrees? Largest tilt, degrees",
-    _number("--level-within"),
+    _make_number_reader("--level-within"),
     "5",
 )
 
 
-def _pattern(given: str) -> str:
+def _parse_pattern(given: str) -> str:
     return checked_pattern(given.strip(), field="--time-pattern")
 
 
@@ -109,7 +111,7 @@ _OFFSET = _SettingQuestion(
     str.strip,
 )
 _PATTERN = _SettingQuestion(
-    "folder.time_pattern", "--time-pattern", "Pattern of the names without suffix, as %Y%m%d_%H%M%S", _pattern
+    "folder.time_pattern", "--time-pattern", "Pattern of the names without suffix, as %Y%m%d_%H%M%S", _parse_pattern
 )
 _ASKED_BY_FAULT = {"file_time_zone": _OFFSET, "file_time_unknown": _PATTERN, "file_time_ambiguous": _PATTERN}
 """Questions that answer a fault in a picture's time."""
@@ -183,7 +185,7 @@ def init(
     }
     answers.set(plain)
     if answers.value("site.timezone") is None:
-        answers.set({"site.timezone": _host_zone()})
+        answers.set({"site.timezone": _read_host_zone()})
     for question in _SITE:
         answers.answer(question)
     kind = str(answers.value("source") or "aravis")
@@ -195,16 +197,16 @@ def init(
     for optional in (_OFFSET, _PATTERN):
         answers.answer(optional, needed=False)
     answers.answer(_LEVEL, needed=answers.ask)  # where nobody is asked, the first fit asks
-    results = _tried(answers, file, addresses=camera or [], picture=picture)
+    results = _try_settings(answers, file, addresses=camera or [], picture=picture)
     changed = {} if before == answers.text else answers.changes
     if before != answers.text:
-        _write(file, answers.text)
-    _print(file, changed, results, as_json=as_json)
+        _write_settings(file, answers.text)
+    _print_result(file, changed, results, as_json=as_json)
     if any(result.outcome == "fail" for result in results):
         raise typer.Exit(1)
 
 
-def _host_zone() -> str:
+def _read_host_zone() -> str:
     """Return the IANA name of this computer's time zone; UTC where it has no name."""
     of_file = os.path.realpath("/etc/localtime").partition("/zoneinfo/")[2]
     name = os.environ.get("TZ", of_file).removeprefix(":")
@@ -253,9 +255,9 @@ class _Answers:
         if given is not None:
             self.set({question.setting: question.read(given)})
         elif needed and self.value(question.setting) is None:
-            self.set({question.setting: self._ask(question)})
+            self.set({question.setting: self._ask_question(question)})
 
-    def _ask(self, question: _SettingQuestion) -> Value | None:
+    def _ask_question(self, question: _SettingQuestion) -> Value | None:
         if not self.ask:
             if question.default is not None:
                 return question.read(question.default)
@@ -270,7 +272,7 @@ class _Answers:
         raise AssertionError  # the last one returns or raises
 
 
-def _tried(answers: _Answers, file: Path, *, addresses: list[str], picture: Path) -> list[TriedResult]:
+def _try_settings(answers: _Answers, file: Path, *, addresses: list[str], picture: Path) -> list[TriedResult]:
     """Return the outcome of the trials; where a picture's time needs one more answer, ask for it, and try again."""
     while True:
         settings = parse_settings(answers.text, where=str(file))
@@ -282,7 +284,7 @@ def _tried(answers: _Answers, file: Path, *, addresses: list[str], picture: Path
         answers.answer(wanted[0])
 
 
-def _write(file: Path, text: str) -> None:
+def _write_settings(file: Path, text: str) -> None:
     """Write a file whole or not at all, with the owner and the rights that it has."""
     with as_owner(file.parent), disk_errors(file):
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -301,7 +303,7 @@ def _write(file: Path, text: str) -> None:
             raise
 
 
-def _print(file: Path, changed: Mapping[str, Value], results: list[TriedResult], *, as_json: bool) -> None:
+def _print_result(file: Path, changed: Mapping[str, Value], results: list[TriedResult], *, as_json: bool) -> None:
     failed = [result for result in results if result.outcome == "fail"]
     following = f"sunarc init {file} …" if failed else f"sunarc check --config {file}"
     if as_json:

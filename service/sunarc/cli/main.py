@@ -54,11 +54,11 @@ class _Commands(TyperGroup):
     def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401, ARG002 - click's
         """Write the commands of each house, and whether it is installed."""
         for house, commands in houses().items():
-            with formatter.section(_heading(house)):
+            with formatter.section(_make_heading(house)):
                 formatter.write_dl([(name, one.help) for name, one in commands.items() if not one.hidden])
 
 
-def _heading(house: str) -> str:
+def _make_heading(house: str) -> str:
     if house == _LIBRARY:
         return "Commands"
     return f"Commands of sunarc[{house}]" + (", which is not installed" if missing_packages(house) else "")
@@ -110,7 +110,7 @@ def _new_group(cls: type[TyperGroup]) -> typer.Typer:
 
 
 @cache
-def _command_line() -> typer.Typer:
+def _new_command_line() -> typer.Typer:
     """Return the command line, with the name and the first sentence of each command."""
     cli = _new_group(_Commands)
     cli.callback(invoke_without_command=True)(version)
@@ -128,21 +128,23 @@ def main() -> None:
             stream.reconfigure(errors="backslashreplace")
     try:
         with until_the_end:
-            _command_line()(standalone_mode=True)
+            _new_command_line()(standalone_mode=True)
     except (InputError, ConfigurationError) as error:
-        _fail(error, 2)
+        _exit_with_error(error, 2)
     except SunarcError as error:
-        _fail(error, 3)
+        _exit_with_error(error, 3)
     except KeyboardInterrupt:
         sys.exit(130)
     except BrokenPipeError:
         sys.stderr.close()
         sys.exit(3)
     except PermissionError as error:
-        _fail(OutsideError(f"{error.filename} is not for this user; ask as root, or as the service's user"), 3)
+        _exit_with_error(
+            OutsideError(f"{error.filename} is not for this user; ask as root, or as the service's user"), 3
+        )
 
 
-def _fail(error: Exception, code: int) -> None:
+def _exit_with_error(error: Exception, code: int) -> None:
     print(f"sunarc: {error}", file=sys.stderr)
     sys.exit(code)
 

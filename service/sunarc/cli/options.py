@@ -42,12 +42,12 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 TIME_PATTERN_HELP = "Pattern of the names without suffix, as %Y%m%d_%H%M%S, img_%s or %Y/%m/%d/%H%M%S."
 
 
-def _checked_pattern(given: str | None) -> str | None:
+def _check_pattern(given: str | None) -> str | None:
     return None if given is None else checked_pattern(given, field="--time-pattern")
 
 
 TimePatternOption = Annotated[
-    str | None, typer.Option("--time-pattern", callback=_checked_pattern, help=TIME_PATTERN_HELP)
+    str | None, typer.Option("--time-pattern", callback=_check_pattern, help=TIME_PATTERN_HELP)
 ]
 _LATITUDE = typer.Option(
     "--latitude", metavar="ANGLE", help="Degrees, north positive, or as 47°25'12\"N.", rich_help_panel=SITE

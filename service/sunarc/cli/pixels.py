@@ -55,7 +55,7 @@ def detect(
     else:
         _print_found(found)
     for row in unread:
-        print_sentence(f"sunarc: {row['file']}: {_why(row).sentence}", file=sys.stderr)
+        print_sentence(f"sunarc: {row['file']}: {_get_deciding_finding(row).sentence}", file=sys.stderr)
     if len(unread) == len(found):
         raise typer.Exit(2)
     if overlay is not None:
@@ -64,7 +64,7 @@ def detect(
         raise typer.Exit(1)
 
 
-def _why(row: Mapping[str, Any]) -> Finding:
+def _get_deciding_finding(row: Mapping[str, Any]) -> Finding:
     """Return the deciding finding of an image."""
     first = row["findings"][0]
     return Finding(first["code"], first["data"])
@@ -79,7 +79,7 @@ def _print_found(found: Sequence[Mapping[str, Any]]) -> None:
         if row["verdict"] != "no_frame":
             print_sentence(f"{row['file']}: {row['reason']}")
     shown = len(found) - len(refused)
-    headline = choose_headline([_why(row) for row in refused], used=shown)
+    headline = choose_headline([_get_deciding_finding(row) for row in refused], used=shown)
     count = f"{shown} of {counted(len(found), 'image')} used"
     print_sentence(count if headline is None else f"{count}, {headline['n']} refused: {headline['reason']}")
 

@@ -84,7 +84,7 @@ def simulate(
         altitude=altitude,
     )
     first = parse_time(start, where="--start")
-    moved = None if bump is None and at is None else _bump(bump, at)
+    moved = None if bump is None and at is None else _parse_bump(bump, at)
     pictures = simulating.PictureOptions(
         start=first, speed=speed, cadence_s=cadence, site=site, truth=truth, bump=moved
     )
@@ -117,7 +117,7 @@ def simulate(
     simulating.simulate_imager(options)
 
 
-def _bump(degrees: float | None, at: str | None) -> Bump:
+def _parse_bump(degrees: float | None, at: str | None) -> Bump:
     """Return the bump that --bump and --at state together."""
     from sunarc.lab.simulation.serving import Bump
 

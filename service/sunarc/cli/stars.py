@@ -127,30 +127,30 @@ def stars(
     place = (
         known_camera.site
         if known_camera is not None
-        else _site(calibration, *parse_angles(latitude, longitude), altitude, blind=blind)
+        else _choose_site(calibration, *parse_angles(latitude, longitude), altitude, blind=blind)
     )
     sun = None if beside is None else read_sightings(read_lines(beside), name=beside.name, site=place)
     if known_camera is None:
         circle = None if image_circle is None else parse_image_circle(image_circle)
         known = BlindOptions(level_within_deg=level_within, circle=circle)
-        found = _found_blind(images, place, options, known, write_calibration, as_json=as_json)
+        found = _find_blind(images, place, options, known, write_calibration, as_json=as_json)
     else:
         found = find_stars(images, known_camera, options)
         if as_json:
             print_json([image.as_json() for image in found])
         else:
-            _print(found)
+            _print_images(found)
     if not any(image.matches is not None and image.matches.accepted for image in found):
         raise typer.Exit(2 if all(image.time is None for image in found) else 1)
     if output is not None:
-        count = _write(output, found, sun, most)
+        count = _write_sightings(output, found, sun, most)
         if not as_json:
             print(f"{counted(count, 'sighting')} of stars written to {output}")
     if any(finding.code == "file_other_site" for image in found for finding in image.findings):
         raise typer.Exit(1)
 
 
-def _site(
+def _choose_site(
     calibration: Path | None, latitude: float | None, longitude: float | None, altitude: float, *, blind: bool
 ) -> Site:
     """Return the site of a blind start; InputError where neither it nor a substitute is given."""
@@ -163,7 +163,7 @@ def _site(
     return Site(latitude=latitude, longitude=longitude, altitude=altitude)
 
 
-def _found_blind(
+def _find_blind(
     images: list[Path], site: Site, options: StarOptions, known: BlindOptions, target: Path | None, *, as_json: bool
 ) -> list[StarImage]:
     """Return the images with their stars named by the camera that they gave, and write its calibration."""
@@ -171,7 +171,7 @@ def _found_blind(
     if as_json:
         print_json(result.as_json())
     else:
-        _print(result.images)
+        _print_images(result.images)
         print(result.as_json()["reason"])
     if result.accepted and target is not None:
         text = json.dumps(result.document(camera=target.stem, now=SystemClock().now()), indent=2)
@@ -180,7 +180,7 @@ def _found_blind(
     return result.images
 
 
-def _print(found: list[StarImage]) -> None:
+def _print_images(found: list[StarImage]) -> None:
     rows = [image.as_json() for image in found]
     columns = ("file", "time_utc", "n_detected", "n_stars", "scatter_px")
     header = ("file", "time", "detected", "stars", "scatter\npx")
@@ -190,6 +190,6 @@ def _print(found: list[StarImage]) -> None:
             print_sentence(f"{row['file']}: {row['reason']}")
 
 
-def _write(output: Path, found: list[StarImage], sun: Sightings | None, most: int) -> int:
+def _write_sightings(output: Path, found: list[StarImage], sun: Sightings | None, most: int) -> int:
     with disk_errors(output), output.open("w", encoding="utf-8", newline="") as target:
         return write_star_sightings(target, found, beside=sun, most=most)

@@ -83,10 +83,10 @@ def uncertainty(
 
     Example: sunarc study uncertainty --trials 5 --levels 11 --out study
     """
-    methods = _methods(method)
+    methods = _parse_methods(method)
     extra_module("matplotlib", extra="plots")  # before the fits, which take minutes
     make_folder(out)
-    with _progress("fits", len(methods) * levels * trials) as advance:
+    with _show_progress("fits", len(methods) * levels * trials) as advance:
         study = study_uncertainty(
             methods=methods, levels=levels, trials=trials, seed=seed, jobs=jobs, after_each=advance
         )
@@ -104,9 +104,9 @@ def tables(*, out: Out, seed: Seed = 1, method: Methods = "both", as_json: AsJso
 
     Example: sunarc study tables --out study
     """
-    methods = _methods(method)
+    methods = _parse_methods(method)
     make_folder(out)
-    with _progress("fits", len(methods) * len(CASES)) as advance:
+    with _show_progress("fits", len(methods) * len(CASES)) as advance:
         rows = study_tables(methods=methods, seed=seed, after_each=advance)
     sheets = {
         "Tables 1 and 3, and the true error on the arc and over the sky, px": (_ERRORS, rows),
@@ -133,7 +133,7 @@ def shadow(
     extra_module("matplotlib", extra="plots")
     make_folder(out)
     if calibration is None:
-        with _progress("sizes", len(SIGMAS_DEG)) as advance:
+        with _show_progress("sizes", len(SIGMAS_DEG)) as advance:
             rows = study_shadow(draws=draws, seed=seed, after_each=advance)
     else:
         rows = study_calibrated_shadow(read_calibration(calibration), draws=draws, seed=seed)
@@ -168,8 +168,8 @@ def make(
     if seed != "new" and not seed.isdecimal():
         raise InputError(field="--seed", problem=f"{seed!r} is no whole number", remedy="give one, or new")
     number = secrets.randbits(128) if seed == "new" else int(seed)
-    with _progress("cases", cases) as advance:
-        drawn = _each(benchmark_cases(cases, seed=number, night=night, first=first), advance)
+    with _show_progress("cases", cases) as advance:
+        drawn = _report_each(benchmark_cases(cases, seed=number, night=night, first=first), advance)
         count, digest = write_round(drawn, folder=out, part=part, seed=number)
     facts = {"cases": count, "truth_sha256": digest, "folder": str(out)}
     if as_json:
@@ -200,8 +200,8 @@ def run(
         given = collect_answers(calibrate_case(case, chosen), case.queries)
         return case, replace(given, processor_s=time.process_time() - begin)
 
-    with _progress("cases", len(names)) as advance:
-        count = write_entry(_each(map(answered, names), advance), folder=out)
+    with _show_progress("cases", len(names)) as advance:
+        count = write_entry(_report_each(map(answered, names), advance), folder=out)
     if as_json:
         print_json({"cases": count, "folder": str(out)})
     else:
@@ -244,14 +244,14 @@ def score_entries(
             print(f"{one.entrant}: {finding.text} [{finding.code}]")
 
 
-def _each(values: Iterable[AnyValue], advance: Callable[[], None]) -> Iterator[AnyValue]:
+def _report_each(values: Iterable[AnyValue], advance: Callable[[], None]) -> Iterator[AnyValue]:
     """Yield values, and say when each is done with."""
     for value in values:
         yield value
         advance()
 
 
-def _methods(text: str) -> tuple[Method, ...]:
+def _parse_methods(text: str) -> tuple[Method, ...]:
     known: tuple[Literal["paper", "robust"], ...] = ("paper", "robust")
     if text == "both":
         return known
@@ -264,7 +264,7 @@ def _methods(text: str) -> tuple[Method, ...]:
 
 
 @contextmanager
-def _progress(what: str, total: int) -> Iterator[Callable[[], None]]:
+def _show_progress(what: str, total: int) -> Iterator[Callable[[], None]]:
     """Show a bar; give the function that moves it on by one."""
     done = itertools.count(1)
     with progress_bars() as bars:
@@ -290,13 +290,13 @@ def _print_tables(
                 column, no_wrap=True, justify="left" if column in {"source", "method", "quantity"} else "right"
             )
         for row in shown:
-            table.add_row(*(_cell(row.get(name, "")) for name in columns.values()))
+            table.add_row(*(_format_cell(row.get(name, "")) for name in columns.values()))
         console.print(table)
     for file in files:
         console.print(f"written: {file}")
 
 
-def _cell(value: str | float) -> str:
+def _format_cell(value: str | float) -> str:
     if not isinstance(value, float):
         return str(value)
     return f"{value:.2f}" if abs(value) >= 10.0 else f"{value:.3g}"

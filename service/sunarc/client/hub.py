@@ -7,7 +7,7 @@ from datetime import date, datetime
 from typing import Any
 
 from .imager import Imager
-from .requests import Requests, _day, _quoted, _time
+from .requests import Requests, _format_day, _format_time, _quote_name
 
 
 class Hub(Requests):
@@ -31,19 +31,19 @@ class Hub(Requests):
 
     def fleet(self) -> dict[str, Any]:
         """Return every camera, the worst first."""
-        return self._json("/fleet")
+        return self._ask_json("/fleet")
 
     def cross_checks(self, camera: str | None = None) -> dict[str, Any]:
         """Return the clock, longitude and north of each camera by its neighbours of last night, alarms first."""
-        return self._json("/cross-checks", camera=camera)
+        return self._ask_json("/cross-checks", camera=camera)
 
     def quarantine(self, camera: str | None = None, *, limit: int | None = None) -> dict[str, Any]:
         """Return the rows that were refused or set apart, the newest first."""
-        return self._json("/quarantine", camera=camera, limit=_count(limit))
+        return self._ask_json("/quarantine", camera=camera, limit=_format_count(limit))
 
     def nights(self, *, limit: int | None = None) -> dict[str, Any]:
         """Return how the work of the last nights went, the newest first."""
-        return self._json("/nightly", limit=_count(limit))
+        return self._ask_json("/nightly", limit=_format_count(limit))
 
     def summaries(
         self,
@@ -54,7 +54,9 @@ class Hub(Requests):
         limit: int | None = None,
     ) -> dict[str, Any]:
         """Return solar days with `since` <= date < `until`, the newest first."""
-        return self._json("/summaries", camera=camera, since=_day(since), until=_day(until), limit=_count(limit))
+        return self._ask_json(
+            "/summaries", camera=camera, since=_format_day(since), until=_format_day(until), limit=_format_count(limit)
+        )
 
     def pair_height(
         self,
@@ -66,9 +68,9 @@ class Hub(Requests):
         second_pixel: Sequence[float],
     ) -> dict[str, Any]:
         """Return the height of a point that two cameras see at a time, each in its pixel (x, y)."""
-        path = f"/pairs/{_quoted(first)}/{_quoted(second)}/height"
-        return self._change(path, time=_time(at), pixel_a=list(first_pixel), pixel_b=list(second_pixel))
+        path = f"/pairs/{_quote_name(first)}/{_quote_name(second)}/height"
+        return self._ask_change(path, time=_format_time(at), pixel_a=list(first_pixel), pixel_b=list(second_pixel))
 
 
-def _count(number: int | None) -> str | None:
+def _format_count(number: int | None) -> str | None:
     return None if number is None else str(number)

@@ -48,7 +48,7 @@ class LocalImager:
         now_s = time.monotonic()  # noqa: TID251 - it stands outside the service and its clock
         if self._imager is not None and now_s - self._asked_s >= self._renew_s:
             self._asked_s = now_s
-            self._renew(self._imager)
+            self._renew_calibration(self._imager)
         if self._model is None:
             raise ImagerError("no calibration yet", status=None)
         return self._model
@@ -61,7 +61,7 @@ class LocalImager:
         """Return where vectors (..., 3), east-north-up, of any length but 0, land."""
         return self.model.project(direction)
 
-    def _renew(self, imager: Imager) -> None:
+    def _renew_calibration(self, imager: Imager) -> None:
         try:
             found = imager.renewed(self._tag)
         except ImagerError:

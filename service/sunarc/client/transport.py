@@ -56,7 +56,7 @@ class _TimedSocket(io.RawIOBase):
     def __init__(self, channel: socket.socket, raw: io.RawIOBase) -> None:
         self._channel, self._raw = channel, raw
         self._timeout_s = channel.gettimeout()
-        self._until_s = _now_s() + (self._timeout_s or 0.0)
+        self._until_s = _read_monotonic_s() + (self._timeout_s or 0.0)
 
     def readable(self) -> bool:
         """Return True."""
@@ -65,7 +65,7 @@ class _TimedSocket(io.RawIOBase):
     def readinto(self, buffer: Any) -> int | None:  # noqa: ANN401 - a writable buffer
         """Read the next bytes; TimeoutError where too few came in the time."""
         if self._timeout_s is not None:
-            left_s = self._until_s - _now_s()
+            left_s = self._until_s - _read_monotonic_s()
             if left_s <= 0.0:
                 raise TimeoutError(f"less than {_LEAST_BYTES_PER_S:g} bytes per second came")
             self._channel.settimeout(min(left_s, self._timeout_s))
@@ -103,11 +103,11 @@ class _TimedHttps(urllib.request.HTTPSHandler):
         return self.do_open(_TimedTlsConnection, req)
 
 
-def _now_s() -> float:
+def _read_monotonic_s() -> float:
     return time.monotonic()  # noqa: TID251 - it stands outside the service and its clock
 
 
-def _content(answer: http.client.HTTPResponse) -> bytes:
+def _read_content(answer: http.client.HTTPResponse) -> bytes:
     """Return the whole content of an answer; HTTPException where it is cut off, or too long."""
     parts, left = [], _MOST_BYTES
     while part := answer.read(_PART_BYTES):
@@ -163,7 +163,7 @@ class Transport:
         `again` says whether a request that failed for the moment is repeated.
         """
         headers = {} if media_type is None else {"Content-Type": media_type}
-        return self._repeat_request(self._request(path, query, headers, body=body), again=again)
+        return self._repeat_request(self._make_request(path, query, headers, body=body), again=again)
 
     def ask_if_changed(
         self, path: str, query: Mapping[str, str | None], *, tag: str | None
@@ -171,7 +171,7 @@ class Transport:
         """Return the content as `ask` does; None where the answer still has an ETag."""
         headers = {} if tag is None else {"If-None-Match": tag}
         try:
-            return self._repeat_request(self._request(path, query, headers), again=False)
+            return self._repeat_request(self._make_request(path, query, headers), again=False)
         except ImagerError as error:
             if error.status == HTTPStatus.NOT_MODIFIED:
                 return None
@@ -179,10 +179,10 @@ class Transport:
 
     def change(self, path: str, body: bytes, *, method: str) -> bytes:
         """Return the content of the answer to a change, which is asked for once: it may have been made."""
-        request = self._request(path, {}, {"Content-Type": "application/json"}, body=body, method=method)
+        request = self._make_request(path, {}, {"Content-Type": "application/json"}, body=body, method=method)
         return self._repeat_request(request, again=False)[0]
 
-    def _request(
+    def _make_request(
         self,
         path: str,
         query: Mapping[str, str | None],
@@ -199,7 +199,7 @@ class Transport:
     def _repeat_request(self, request: urllib.request.Request, *, again: bool) -> tuple[bytes, Mapping[str, str]]:
         for attempt in range(self._retries + 1):
             try:
-                return self._answer(request)
+                return self._send_request(request)
             except ImagerError as error:
                 if not again:
                     raise
@@ -218,7 +218,7 @@ class Transport:
                     yield line.decode("utf-8", "replace").rstrip("\r\n")
         except urllib.error.HTTPError as error:
             with error:
-                raise _refusal(error) from None
+                raise _make_refusal(error) from None
         except (OSError, http.client.HTTPException) as error:
             raise ImagerError(f"{self._address} does not answer: {error}", status=None) from error
 
@@ -228,18 +228,18 @@ class Transport:
             raise error
         time.sleep(retry_wait_s(error, attempt))  # noqa: TID251 - it stands outside the service and its clock
 
-    def _answer(self, request: urllib.request.Request) -> tuple[bytes, Mapping[str, str]]:
+    def _send_request(self, request: urllib.request.Request) -> tuple[bytes, Mapping[str, str]]:
         try:
             with self._opener.open(request, timeout=self._timeout_s) as answer:
-                return _content(answer), answer.headers
+                return _read_content(answer), answer.headers
         except urllib.error.HTTPError as error:
             with error:
-                raise _refusal(error) from None
+                raise _make_refusal(error) from None
         except (OSError, http.client.HTTPException) as error:
             raise ImagerError(f"{self._address} does not answer: {error}", status=None) from error
 
 
-def _refusal(error: urllib.error.HTTPError) -> ImagerError:
+def _make_refusal(error: urllib.error.HTTPError) -> ImagerError:
     try:
         problem = json.loads(error.read(_MOST_REFUSAL_BYTES))
     except (ValueError, OSError, http.client.HTTPException):  # no JSON, or the connection ended within it

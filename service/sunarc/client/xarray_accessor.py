@@ -44,7 +44,7 @@ class SunarcAccessor:
 
     def with_directions(self, camera: Projecting) -> xr.DataArray:
         """Return the image with the coordinates zenith, azimuth and sigma (y, x), degrees; NaN outside the field."""
-        seen = camera.back_project(self._pixels())
+        seen = camera.back_project(self._make_pixel_grid())
         named = {"zenith": seen.zenith_deg, "azimuth": seen.azimuth_deg, "sigma": seen.sigma_deg}
         columns = {
             name: (("y", "x"), np.where(seen.inside, values, np.nan), {"units": "degree"})
@@ -57,7 +57,7 @@ class SunarcAccessor:
 
         Every pixel is asked for: select part of the image, or every tenth pixel, before.
         """
-        cloud, _ = imager.geolocate(self._pixels(), height_m=height_m)
+        cloud, _ = imager.geolocate(self._make_pixel_grid(), height_m=height_m)
         columns = {
             "latitude": (("y", "x"), cloud.latitude, {"units": "degrees_north"}),
             "longitude": (("y", "x"), cloud.longitude, {"units": "degrees_east"}),
@@ -76,7 +76,7 @@ class SunarcAccessor:
         angles = {"zenith": np.ravel(zenith_deg), "azimuth": np.ravel(azimuth_deg)}
         return values.assign_coords({name: ("direction", value, {"units": "degree"}) for name, value in angles.items()})
 
-    def _pixels(self) -> FloatArray:
+    def _make_pixel_grid(self) -> FloatArray:
         """Return (y, x, 2)."""
         x, y = (np.asarray(self._image[name], dtype=np.float64) for name in ("x", "y"))
         return np.stack(np.meshgrid(x, y), axis=-1)

@@ -62,8 +62,8 @@ def asi_core_yaml(
         "timezone: 'GMT+0'  # of image times; the service's are UTC",
         "min_ele_evaluated: 0.0",
         "internal_calibration:",
-        f"  ss: [{_numbers(model.pixel_to_ray)}]",
-        f"  invpol: [{_numbers(model.ray_to_pixel)}]",
+        f"  ss: [{_format_numbers(model.pixel_to_ray)}]",
+        f"  invpol: [{_format_numbers(model.ray_to_pixel)}]",
         f"  xc: {row:.9f}  # the centre's row: asi_core's x runs down the image",
         f"  yc: {column:.9f}  # the centre's column",
         f"  c: {c:.12f}",
@@ -184,7 +184,7 @@ def _quote_text(text: str | float) -> str:
     return "'" + str(text).replace("'", "''") + "'"
 
 
-def _numbers(values: FloatArray) -> str:
+def _format_numbers(values: FloatArray) -> str:
     return ", ".join(f"{value:.17e}" for value in values)
 
 
@@ -199,7 +199,7 @@ def asi_core_file(calibration: Calibration, document: Document, *, with_matrices
     camera, model = calibration.camera, ocam_model(calibration.camera, cubic=True)
     error = compare(camera_view(camera), ocam_view("asi-core", model, size=(camera.width, camera.height)))
     mounted = document["valid_from"] or FAR_PAST
-    name, time = _plain(document["camera"]), re.sub(r"[^0-9]", "", mounted)[:14]
+    name, time = _require_plain_name(document["camera"]), re.sub(r"[^0-9]", "", mounted)[:14]
     found = back_projection_map(lookup(calibration))
     masks = mask_files(asi_core_mask(found), stem=f"{name}_{time}")
     matrices = matrix_files(found, camera=name, time=time) if with_matrices else {}
@@ -244,12 +244,12 @@ def asi_core_set(documents: Sequence[Document]) -> list[Exported]:
     calibrations = {id(document): from_document(document) for document in documents}
     made = []
     for camera in sorted({str(document["camera"]) for document in documents}):
-        chosen = _epochs([document for document in documents if document["camera"] == camera])
+        chosen = _split_by_epoch([document for document in documents if document["camera"] == camera])
         made += [asi_core_file(calibrations[key], document, with_matrices=True) for key, document in chosen]
     return made
 
 
-def _epochs(documents: Sequence[Document]) -> list[tuple[int, Document]]:
+def _split_by_epoch(documents: Sequence[Document]) -> list[tuple[int, Document]]:
     """Return the chosen document of each epoch of a camera with the epoch's own validity, and the identity it had."""
     usable = [document for document in documents if document["state"] != "refused"] or list(documents)
     epochs: dict[str, list[Document]] = {}
@@ -267,6 +267,6 @@ def _epochs(documents: Sequence[Document]) -> list[tuple[int, Document]]:
     return chosen
 
 
-def _plain(name: object) -> str:
+def _require_plain_name(name: object) -> str:
     """Return a name that is a plain file name."""
     return re.sub(r"[^A-Za-z0-9_-]+", "_", str(name))

@@ -71,9 +71,12 @@ def read_unplaced(lines: Iterable[str], *, name: str) -> tuple[Sightings, RowPla
 
     They are complete after `name_bodies`.
     """
-    parts = [_read_to_first_fault(_unplaced, part) for part in _parts(lines, name=name, required=_REQUIRED)]
+    parts = [
+        _read_to_first_fault(_read_unplaced_rows, part)
+        for part in _split_into_parts(lines, name=name, required=_REQUIRED)
+    ]
     columns = np.concatenate([np.zeros((0, 9)), *(one.columns for one in parts)])
-    epochs = _epochs([one.of_camera for one in parts], [one.columns[:, 0] for one in parts], name=name)
+    epochs = _number_epochs([one.of_camera for one in parts], [one.columns[:, 0] for one in parts], name=name)
     return Sightings.of(
         epoch=epochs,
         unix_s=columns[:, 0],
@@ -87,7 +90,7 @@ def read_unplaced(lines: Iterable[str], *, name: str) -> tuple[Sightings, RowPla
     ), RowPlaces(f"{name}, line", np.concatenate([np.zeros(0, dtype=np.int64), *(one.line for one in parts)]))
 
 
-class _Unplaced(NamedTuple):
+class _UnplacedRows(NamedTuple):
     """Some rows of sightings: line (n,); columns (n, 9): time, x, y, sigma, air, clock's error and angles.
 
     body (n,), of_camera: the camera and the epoch of each row, those alone that differ where all are alike.
@@ -99,7 +102,7 @@ class _Unplaced(NamedTuple):
     of_camera: list[tuple[str, str]]
 
 
-def _unplaced(part: _CsvRows) -> _Unplaced:
+def _read_unplaced_rows(part: _CsvRows) -> _UnplacedRows:
     """Return the sightings of some rows."""
     zenith, azimuth = (part.within(*one) for one in zip(_DIRECTION_COLUMNS, _DIRECTION_BOUNDS, strict=True))
     alone = np.flatnonzero(np.isnan(zenith) != np.isnan(azimuth))
@@ -111,7 +114,7 @@ def _unplaced(part: _CsvRows) -> _Unplaced:
         part.times("time_utc"),
         part.numbers("x_px"),
         part.numbers("y_px"),
-        part.read("sigma_px", _sigma),
+        part.read("sigma_px", _parse_sigma),
         part.within(_AIR_COLUMNS[0], TEMPERATURE_BOUNDS_C),
         PA_PER_HPA * part.within(_AIR_COLUMNS[1], PRESSURE_BOUNDS_HPA),
         part.within("clock_error_s", _CLOCK_BOUNDS_S),
@@ -123,7 +126,7 @@ def _unplaced(part: _CsvRows) -> _Unplaced:
     camera, epoch = (part.cells.get(name) or [""] for name in ("camera", "epoch"))
     n = max(len(camera), len(epoch))
     of_camera = list(zip(camera * (n // len(camera)), epoch * (n // len(epoch)), strict=True))
-    return _Unplaced(part.line, np.stack(columns, axis=-1), names, of_camera)
+    return _UnplacedRows(part.line, np.stack(columns, axis=-1), names, of_camera)
 
 
 def name_bodies(points: Sightings, site: Site | None, *, wheres: RowPlaces) -> Sightings:
@@ -160,7 +163,7 @@ def name_bodies(points: Sightings, site: Site | None, *, wheres: RowPlaces) -> S
     return replace(points, directions=directions)
 
 
-def _epochs(of_parts: Sequence[list[tuple[str, str]]], unix_s: Sequence[FloatArray], *, name: str) -> IntArray:
+def _number_epochs(of_parts: Sequence[list[tuple[str, str]]], unix_s: Sequence[FloatArray], *, name: str) -> IntArray:
     """Return the pose epochs (n,) of rows in the order of their first times (of each part, (n,)).
 
     InputError where the rows are of several cameras.
@@ -212,8 +215,8 @@ def write_sightings(
         stamp = rfc3339(time, timespec="microseconds")
         cells = [stamp, f"{x:.6f}", f"{y:.6f}", "" if sigma is None else f"{sigma:.6f}", body]
         if air is not None and measured:
-            cells += [_cell(air[0][count], places=3), _cell(air[1][count] / PA_PER_HPA, places=3)]
-        cells += [_cell(column[count], places=6) for column in angles]
+            cells += [_format_cell(air[0][count], places=3), _format_cell(air[1][count] / PA_PER_HPA, places=3)]
+        cells += [_format_cell(column[count], places=6) for column in angles]
         writer.writerow(cells)
         count += 1
     return count
@@ -222,11 +225,11 @@ def write_sightings(
 def read_pairs(lines: Iterable[str], *, columns: tuple[str, str], name: str) -> FloatArray:
     """Read two columns of numbers, (n, 2); `InputError` names line and column."""
 
-    def pairs(part: _CsvRows) -> FloatArray:
+    def read_both(part: _CsvRows) -> FloatArray:
         return np.stack([part.numbers(column) for column in columns], axis=-1)
 
-    parts = _parts(lines, name=name, required=columns)
-    return np.concatenate([np.zeros((0, 2)), *(_read_to_first_fault(pairs, part) for part in parts)])
+    parts = _split_into_parts(lines, name=name, required=columns)
+    return np.concatenate([np.zeros((0, 2)), *(_read_to_first_fault(read_both, part) for part in parts)])
 
 
 def write_columns(target: TextIO, columns: dict[str, FloatArray], *, places: dict[str, int]) -> None:
@@ -234,10 +237,10 @@ def write_columns(target: TextIO, columns: dict[str, FloatArray], *, places: dic
     writer = csv.writer(target, lineterminator="\n")
     writer.writerow(columns)
     for row in zip(*columns.values(), strict=True):
-        writer.writerow(_cell(value, places=places[column]) for column, value in zip(columns, row, strict=True))
+        writer.writerow(_format_cell(value, places=places[column]) for column, value in zip(columns, row, strict=True))
 
 
-def _cell(value: float, *, places: int) -> str:
+def _format_cell(value: float, *, places: int) -> str:
     return "" if math.isnan(value) else f"{value:.{places}f}"
 
 
@@ -278,12 +281,12 @@ class _CsvRows(NamedTuple):
         try:
             values = np.fromiter(map(float, self.cells[column]), np.float64, self.line.size)
         except ValueError:
-            return self.read(column, _number)
-        return values if np.all(np.isfinite(values)) else self.read(column, _number)
+            return self.read(column, _parse_finite)
+        return values if np.all(np.isfinite(values)) else self.read(column, _parse_finite)
 
     def within(self, column: str, bounds: tuple[float, float]) -> FloatArray:
         """Return a column of numbers within bounds, (n,); NaN where a cell is empty, and without the column."""
-        return self.read(column, partial(_between, bounds=bounds))
+        return self.read(column, partial(_parse_bounded, bounds=bounds))
 
     def times(self, column: str) -> FloatArray:
         """Return a column of times, (n,), seconds since 1970-01-01 UTC."""
@@ -292,16 +295,16 @@ class _CsvRows(NamedTuple):
             try:
                 microseconds = np.array([cell[:-1] for cell in cells], dtype="datetime64[us]").astype(np.int64)
             except ValueError:
-                return self.read(column, _time)
+                return self.read(column, _parse_unix_s)
             return np.asarray(microseconds / 1e6)
-        return self.read(column, _time)
+        return self.read(column, _parse_unix_s)
 
 
-def _time(text: str, *, where: str) -> float:
+def _parse_unix_s(text: str, *, where: str) -> float:
     return parse_time(text, where=where).timestamp()
 
 
-def _parts(lines: Iterable[str], *, name: str, required: Sequence[str]) -> Iterator[_CsvRows]:
+def _split_into_parts(lines: Iterable[str], *, name: str, required: Sequence[str]) -> Iterator[_CsvRows]:
     """Yield the rows some at a time; columns are separated as in the header, by commas, semicolons or tabs.
 
     Where it is not by commas, a comma within a number is its decimal point: spreadsheets of most languages write so.
@@ -352,7 +355,7 @@ def _read_to_first_fault(read: Callable[[_CsvRows], _Read], part: _CsvRows) -> _
         raise
 
 
-def _number(text: str, *, where: str) -> float:
+def _parse_finite(text: str, *, where: str) -> float:
     try:
         value = float(text)
     except ValueError:
@@ -362,20 +365,20 @@ def _number(text: str, *, where: str) -> float:
     return value
 
 
-def _sigma(text: str, *, where: str) -> float:
+def _parse_sigma(text: str, *, where: str) -> float:
     if not text.strip():
         return math.nan
-    value = _number(text, where=where)
+    value = _parse_finite(text, where=where)
     if value <= 0.0:
         raise InputError(field=where, problem=f"{text!r} is not positive", remedy="give the 1-sigma per axis in px")
     return value
 
 
-def _between(text: str, *, bounds: tuple[float, float], where: str) -> float:
+def _parse_bounded(text: str, *, bounds: tuple[float, float], where: str) -> float:
     """Return a number within limits; NaN for an empty cell."""
     if not text.strip():
         return math.nan
-    (low, high), value = bounds, _number(text, where=where)
+    (low, high), value = bounds, _parse_finite(text, where=where)
     if not low <= value <= high:
         raise InputError(field=where, problem=f"{value:g} is not within {low:g} to {high:g}", remedy="correct the cell")
     return value

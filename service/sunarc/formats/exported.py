@@ -72,7 +72,7 @@ def discovery_variables(document: Mapping[str, Any]) -> dict[str, Variable]:
     2199.
     """
     site = document["site"]
-    times = np.array([time.timestamp() for time in _validity(document)])
+    times = np.array([time.timestamp() for time in _parse_validity(document)])
 
     def scalar(name: str, units: str, **more: str) -> Variable:
         return Variable(
@@ -82,7 +82,7 @@ def discovery_variables(document: Mapping[str, Any]) -> dict[str, Variable]:
         )
 
     return {
-        "camera": _camera(document),
+        "camera": _make_model_variable(document),
         "latitude": scalar("latitude", "degrees_north"),
         "longitude": scalar("longitude", "degrees_east"),
         "altitude": scalar("altitude", "m", positive="up", axis="Z"),
@@ -107,7 +107,7 @@ def discovery_attributes(document: Mapping[str, Any], *, title: str) -> dict[str
     """Return the attributes of the whole."""
     software, site, evidence = document["software"], document["site"], document["evidence"]
     program = f"{software['name']} {software['version']}"
-    start, end = _validity(document)
+    start, end = _parse_validity(document)
     point = {"lat": site["latitude"], "lon": site["longitude"], "vertical": site["altitude"]}
     extent = {f"geospatial_{name}_{side}": float(value) for name, value in point.items() for side in ("min", "max")}
     duration = f"PT{round((end - start).total_seconds())}S"
@@ -143,12 +143,12 @@ def discovery_attributes(document: Mapping[str, Any], *, title: str) -> dict[str
     }
 
 
-def _validity(document: Mapping[str, Any]) -> tuple[datetime, datetime]:
+def _parse_validity(document: Mapping[str, Any]) -> tuple[datetime, datetime]:
     start, end = document["valid_from"] or FAR_PAST, document["valid_until"] or FAR_FUTURE
     return parse_time(start, where="valid_from"), parse_time(end, where="valid_until")
 
 
-def _camera(document: Mapping[str, Any]) -> Variable:
+def _make_model_variable(document: Mapping[str, Any]) -> Variable:
     """Return the variable whose attributes are the camera model; the CF conventions have no grid mapping for it."""
     model, image, site = document["model"], document["image"], document["site"]
     return Variable(

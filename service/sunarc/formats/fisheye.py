@@ -89,36 +89,36 @@ def fisheye_model(camera: Camera, *, prism: bool = False) -> FisheyeModel:
     free = np.ones(15, dtype=bool)
     free[list(PRISM)] = prism
 
-    def parameters_of(moving: FloatArray) -> FloatArray:
+    def fill_parameters(moving: FloatArray) -> FloatArray:
         parameters = start.copy()
         parameters[free] = moving
         return parameters
 
     def misfit(moving: FloatArray) -> FloatArray:
-        parameters = parameters_of(moving)
+        parameters = fill_parameters(moving)
         rays = sky.rays @ rotation_matrix(parameters[_TURN]).T
         return np.asarray(pixels_of_rays(parameters, rays) - sky.pixels).ravel()
 
     from scipy.optimize import least_squares  # noqa: PLC0415 - the service starts sooner without it
 
-    found = parameters_of(least_squares(misfit, start[free], x_scale=_SCALE[free], method="lm").x)
+    found = fill_parameters(least_squares(misfit, start[free], x_scale=_SCALE[free], method="lm").x)
     rotation = rotation_matrix(found[_TURN]) @ rotation_matrix(camera.rotation_cam_enu)
     return FisheyeModel(parameters=found[: len(Fisheye)], rotation=rotation)
 
 
 def fisheye_view(form: str, model: FisheyeModel, *, size: tuple[int, int], has_pose: bool = True) -> View:
     """Return the view of a model, up to `WITHIN_DEG` and to where its radius stops rising."""
-    limit = _rising_limit(model.parameters)
+    limit = _find_rising_limit(model.parameters)
 
-    def shown(rays: FloatArray) -> FloatArray:
-        return np.where(_within(rays, limit)[:, None], pixels_of_rays(model.parameters, rays), np.nan)
+    def project_within_limit(rays: FloatArray) -> FloatArray:
+        return np.where(_is_within_limit(rays, limit)[:, None], pixels_of_rays(model.parameters, rays), np.nan)
 
     focal, center = model.parameters[:2], model.parameters[2:4]
     return lens_view(
         form,
         size=size,
         rotation=model.rotation,
-        pixels_of_rays=shown,
+        pixels_of_rays=project_within_limit,
         start=lambda pixels: (pixels - center) / focal,
         has_pose=has_pose,
     )
@@ -137,11 +137,11 @@ def pixels_of_rays(parameters: FloatArray, rays: FloatArray) -> FloatArray:
     return np.stack([x, y], axis=-1) * parameters[:2] + parameters[2:4]
 
 
-def _within(rays: FloatArray, limit: float) -> BoolArray:
+def _is_within_limit(rays: FloatArray, limit: float) -> BoolArray:
     return np.asarray(np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2]) <= limit)
 
 
-def _rising_limit(parameters: FloatArray) -> float:
+def _find_rising_limit(parameters: FloatArray) -> float:
     theta = np.linspace(0.0, math.radians(WITHIN_DEG), _ANGLES)
     coefficients = np.zeros(10)
     coefficients[1::2] = 1.0, *parameters[list(RADIAL)]
@@ -185,7 +185,7 @@ def read_opencv(content: bytes, *, name: str) -> View:
         It has not four distortion coefficients (a calibration of cv2.calibrateCamera has 5 and more), or no size.
     """
     try:
-        matrices, numbers = _stored(content.decode())
+        matrices, numbers = _read_storage(content.decode())
     except UnicodeDecodeError:
         raise InputError(field=name, problem="is not text", remedy="give a cv2.FileStorage file") from None
     matrix, distortion, rotation = (
@@ -212,7 +212,7 @@ def read_opencv(content: bytes, *, name: str) -> View:
     return fisheye_view("opencv", model, size=(width, height), has_pose=rotation is not None)
 
 
-def _stored(text: str) -> tuple[dict[str, FloatArray], dict[str, int]]:
+def _read_storage(text: str) -> tuple[dict[str, FloatArray], dict[str, int]]:
     """Return the matrices and the whole numbers of a file of `cv2.FileStorage`, by their names.
 
     Its own reader ends the process on damaged files. Without their punctuation the three forms are one: words.
@@ -272,7 +272,7 @@ def read_colmap(content: bytes, *, name: str) -> View:
     parameters = np.zeros(len(Fisheye))
     parameters[list(places)] = values
     parameters[[Fisheye.CX, Fisheye.CY]] -= _COLMAP_ORIGIN_PX
-    return _text_view("colmap", parameters, content, size)
+    return _make_text_view("colmap", parameters, content, size)
 
 
 def ros_yaml(model: FisheyeModel, *, size: tuple[int, int], camera: str, notes: list[str]) -> bytes:
@@ -313,7 +313,7 @@ def read_ros(content: bytes, *, name: str) -> View:
     parameters = np.zeros(len(Fisheye))
     parameters[:4] = matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]
     parameters[list(RADIAL)] = distortion
-    return _text_view("ros", parameters, content, size)
+    return _make_text_view("ros", parameters, content, size)
 
 
 def _add_comments(model: FisheyeModel, notes: list[str]) -> bytes:
@@ -321,7 +321,7 @@ def _add_comments(model: FisheyeModel, notes: list[str]) -> bytes:
     return "".join(f"# {note}\n" for note in [*notes, _ROTATION + rotation]).encode()
 
 
-def _text_view(form: str, parameters: FloatArray, content: bytes, size: tuple[int, int]) -> View:
+def _make_text_view(form: str, parameters: FloatArray, content: bytes, size: tuple[int, int]) -> View:
     found = re.search(re.escape(_ROTATION.encode()) + rb"([^\n]+)", content)
     try:
         rotation = np.eye(3) if found is None else np.array(found.group(1).split(), dtype=np.float64).reshape(3, 3)

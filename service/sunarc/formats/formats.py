@@ -100,7 +100,7 @@ def read_view(content: bytes, *, name: str, beside: Beside = lambda _: None) -> 
         The format is unknown or without a reader, the file is not what its format says, or no pixel of its image has a
         direction.
     """
-    view = _reader(_recognize_format(content), name)(content, name=name, beside=beside)
+    view = _get_reader(_recognize_format(content), name)(content, name=name, beside=beside)
     across = [np.linspace(0.0, size - 1.0, _PROBED) for size in (view.width, view.height)]
     if not np.any(np.isfinite(view.unproject(np.stack(np.meshgrid(*across), axis=-1).reshape(-1, 2)))):
         raise InputError(
@@ -118,7 +118,7 @@ def _recognize_format(content: bytes) -> Format:
     return max(marked, key=lambda one: one[0])[1] if marked else FORMATS["json"]
 
 
-def _reader(form: Format, field: str) -> Read:
+def _get_reader(form: Format, field: str) -> Read:
     if form.read is None:
         raise FindingError(field, Finding("format_without_reader", {"format": form.name}))
     return form.read
@@ -158,7 +158,7 @@ def _read_npz(content: bytes, *, name: str) -> View:
     return (read_remap if is_remap(content) else read_table)(content, name=name)
 
 
-def _alone(read: Callable[..., View]) -> Read:
+def _lone_file(read: Callable[..., View]) -> Read:
     """Return a reader of files that name no other."""
 
     def reader(content: bytes, /, *, name: str, beside: Beside) -> View:
@@ -180,12 +180,12 @@ def _export_model(
     return Exported(content=content(notes), error=str(error), difference=error.total)
 
 
-def _size(calibration: Calibration) -> tuple[int, int]:
+def _image_size(calibration: Calibration) -> tuple[int, int]:
     return calibration.camera.width, calibration.camera.height
 
 
-def _opencv(calibration: Calibration, document: Document) -> Exported:
-    model, (width, height) = fisheye.fisheye_model(calibration.camera), _size(calibration)
+def _export_opencv(calibration: Calibration, document: Document) -> Exported:
+    model, (width, height) = fisheye.fisheye_model(calibration.camera), _image_size(calibration)
 
     def content(notes: list[str]) -> bytes:
         stated = {
@@ -200,23 +200,23 @@ def _opencv(calibration: Calibration, document: Document) -> Exported:
     return _export_model(calibration, document, fisheye.fisheye_view("opencv", model, size=(width, height)), content)
 
 
-def _mrcal(calibration: Calibration, document: Document) -> Exported:
+def _export_mrcal(calibration: Calibration, document: Document) -> Exported:
     model = splined_model(calibration.camera)
-    view = splined_view(model, size=_size(calibration))
+    view = splined_view(model, size=_image_size(calibration))
     return _export_model(calibration, document, view, lambda notes: cameramodel(model, calibration.camera, notes=notes))
 
 
-def _ocamcalib(calibration: Calibration, document: Document) -> Exported:
-    model, (width, height) = ocam_model(calibration.camera), _size(calibration)
+def _export_ocamcalib(calibration: Calibration, document: Document) -> Exported:
+    model, (width, height) = ocam_model(calibration.camera), _image_size(calibration)
     view = ocam_view("ocamcalib", model, size=(width, height))
     return _export_model(
         calibration, document, view, lambda notes: calib_results(model, width=width, height=height, notes=notes)
     )
 
 
-def _virtualsky(calibration: Calibration, document: Document) -> Exported:
+def _export_virtualsky(calibration: Calibration, document: Document) -> Exported:
     fisheye.require_no_mirror(calibration.camera, "virtualsky")
-    square, size = virtualsky_model(calibration.camera), _size(calibration)
+    square, size = virtualsky_model(calibration.camera), _image_size(calibration)
 
     def content(notes: list[str]) -> bytes:
         return virtualsky_json(square, size=size, site=calibration.site, notes=notes)
@@ -231,12 +231,14 @@ def _virtualsky(calibration: Calibration, document: Document) -> Exported:
 # Files whose error is that of the file, read back.
 
 
-def _read_back(name: str, write: WriteFiles, calibration: Calibration, document: Document, *, says: bool) -> Exported:
+def _export_and_read_back(
+    name: str, write: WriteFiles, calibration: Calibration, document: Document, *, says: bool
+) -> Exported:
     """Return the files of a format, the first of which is read for the error; it says that where it can hold a text."""
     notes = file_notes(document)
     written = write(calibration, document, notes)
     file = next(iter(written))
-    view = _reader(FORMATS[name], name)(written[file], name=file, beside=written.get)
+    view = _get_reader(FORMATS[name], name)(written[file], name=file, beside=written.get)
     error = compare(camera_view(calibration.camera), view)
     if says:
         written = write(calibration, document, [*notes, f"this file {error}"])
@@ -244,26 +246,28 @@ def _read_back(name: str, write: WriteFiles, calibration: Calibration, document:
     return Exported(content=written[file], error=str(error), difference=error.total, name=file, beside=beside)
 
 
-def _colmap(calibration: Calibration, document: Document, notes: list[str]) -> Written:
+def _write_colmap(calibration: Calibration, document: Document, notes: list[str]) -> Written:
     del document
     fisheye.require_no_mirror(calibration.camera, "colmap")
     model = fisheye.fisheye_model(calibration.camera, prism=True)
-    return {"cameras.txt": fisheye.colmap_text(model, size=_size(calibration), notes=notes)}
+    return {"cameras.txt": fisheye.colmap_text(model, size=_image_size(calibration), notes=notes)}
 
 
-def _ros(calibration: Calibration, document: Document, notes: list[str]) -> Written:
+def _write_ros(calibration: Calibration, document: Document, notes: list[str]) -> Written:
     fisheye.require_no_mirror(calibration.camera, "ros")
     model, camera = fisheye.fisheye_model(calibration.camera), str(document["camera"])
-    return {"camera_info.yaml": fisheye.ros_yaml(model, size=_size(calibration), camera=camera, notes=notes)}
+    return {"camera_info.yaml": fisheye.ros_yaml(model, size=_image_size(calibration), camera=camera, notes=notes)}
 
 
-def _remap(calibration: Calibration, document: Document, notes: list[str]) -> Written:
+def _write_remap(calibration: Calibration, document: Document, notes: list[str]) -> Written:
     del document
-    table = remap_table(calibration.camera, sky_grid(min(_size(calibration))), grid="sky", attributes={"notes": notes})
+    table = remap_table(
+        calibration.camera, sky_grid(min(_image_size(calibration))), grid="sky", attributes={"notes": notes}
+    )
     return {"remap.npz": table_bytes(table, "npz")}
 
 
-def _pixels(write: Callable[[BackProjectionMap, list[str]], Written]) -> WriteFiles:
+def _write_pixel_maps(write: Callable[[BackProjectionMap, list[str]], Written]) -> WriteFiles:
     """Return the writer of the map of directions of every pixel."""
     return lambda calibration, _, notes: write(back_projection_map(lookup(calibration)), notes)
 
@@ -271,23 +275,23 @@ def _pixels(write: Callable[[BackProjectionMap, list[str]], Written]) -> WriteFi
 # Tables: parameters, covariance and the directions of a grid, or those of every pixel.
 
 
-def _table(calibration: Calibration, document: Document, *, form: MapFormat) -> Exported:
+def _export_table(calibration: Calibration, document: Document, *, form: MapFormat) -> Exported:
     table, error = calibration_table(calibration, document)
     stated = f"between the pixels of the grid, {error}"
     return Exported(content=table_bytes(table, form), error=stated, difference=error.total)
 
 
-def _map(calibration: Calibration, document: Document, *, form: MapFormat) -> Exported:
+def _export_map(calibration: Calibration, document: Document, *, form: MapFormat) -> Exported:
     table = map_table(back_projection_map(lookup(calibration)), document, masks={})
     return Exported(content=table_bytes(table, form), error="in single precision")
 
 
-def _json(calibration: Calibration, document: Document) -> Exported:
+def _export_json(calibration: Calibration, document: Document) -> Exported:
     del calibration
     return Exported(content=json.dumps(document).encode(), error="is the calibration itself")
 
 
-def _file(
+def _file_format(
     name: str,
     file: str,
     write: WriteFiles,
@@ -299,21 +303,27 @@ def _file(
 ) -> Format:
     """Return a format whose error is that of its file, read back."""
     return Format(
-        name=name, file=file, write=partial(_read_back, name, write, says=says), read=read, start=start, inside=inside
+        name=name,
+        file=file,
+        write=partial(_export_and_read_back, name, write, says=says),
+        read=read,
+        start=start,
+        inside=inside,
     )
 
 
+_JSON = "application/json"
 _TEXT = "text/plain; charset=utf-8"
 FORMATS: Mapping[str, Format] = {
     form.name: form
     for form in (
-        Format(name="json", file="calibration.json", write=_json, read=_read_json, media_type="application/json"),
+        Format(name="json", file="calibration.json", write=_export_json, read=_read_json, media_type=_JSON),
         Format(
-            name="opencv", file="opencv_fisheye.yml", write=_opencv, read=_alone(fisheye.read_opencv),
+            name="opencv", file="opencv_fisheye.yml", write=_export_opencv, read=_lone_file(fisheye.read_opencv),
             inside=(b"%YAML", b"opencv_storage", b"opencv-matrix", b"<?xml"), media_type="application/yaml",
         ),
         Format(
-            name="ocamcalib", file="calib_results.txt", write=_ocamcalib, read=_alone(read_ocamcalib),
+            name="ocamcalib", file="calib_results.txt", write=_export_ocamcalib, read=_lone_file(read_ocamcalib),
             inside=(b"polynomial coefficients for the DIRECT mapping",), media_type=_TEXT,
         ),
         Format(
@@ -321,47 +331,50 @@ FORMATS: Mapping[str, Format] = {
             inside=(b"internal_calibration",), media_type="application/zip",
         ),
         Format(
-            name="mrcal", file="sunarc.cameramodel", write=_mrcal, read=_alone(read_mrcal), inside=(b"LENSMODEL_",),
-            media_type=_TEXT,
+            name="mrcal", file="sunarc.cameramodel", write=_export_mrcal, read=_lone_file(read_mrcal),
+            inside=(b"LENSMODEL_",), media_type=_TEXT,
         ),
         Format(
-            name="netcdf", file="calibration.nc", write=partial(_table, form="netcdf"), read=_alone(read_table),
-            start=(b"\x89HDF",), media_type="application/x-netcdf",
+            name="netcdf", file="calibration.nc", write=partial(_export_table, form="netcdf"),
+            read=_lone_file(read_table), start=(b"\x89HDF",), media_type="application/x-netcdf",
         ),
         Format(
-            name="npz", file="calibration.npz", write=partial(_table, form="npz"), read=_alone(_read_npz),
+            name="npz", file="calibration.npz", write=partial(_export_table, form="npz"), read=_lone_file(_read_npz),
             start=(b"PK",), media_type="application/x-npz",
         ),
-        Format(name="virtualsky", file="virtualsky.json", write=_virtualsky, inside=(b'"virtualsky": {',)),
-        _file("opencv-remap", "remap.npz", _remap, _alone(read_remap), start=(b"PK",)),
-        _file("colmap", "cameras.txt", _colmap, _alone(fisheye.read_colmap), inside=(b"_FISHEYE ",)),
-        _file("ros", "camera_info.yaml", _ros, _alone(fisheye.read_ros), inside=(b"distortion_model:",)),
-        _file(
+        Format(name="virtualsky", file="virtualsky.json", write=_export_virtualsky, inside=(b'"virtualsky": {',)),
+        _file_format("opencv-remap", "remap.npz", _write_remap, _lone_file(read_remap), start=(b"PK",)),
+        _file_format("colmap", "cameras.txt", _write_colmap, _lone_file(fisheye.read_colmap), inside=(b"_FISHEYE ",)),
+        _file_format(
+            "ros", "camera_info.yaml", _write_ros, _lone_file(fisheye.read_ros), inside=(b"distortion_model:",)
+        ),
+        _file_format(
             "fits", "directions.fits",
-            _pixels(lambda found, notes: {"directions.fits": pixel_maps.fits_file(found, notes)}),
-            _alone(pixel_maps.read_fits), start=(b"SIMPLE  =",),
+            _write_pixel_maps(lambda found, notes: {"directions.fits": pixel_maps.fits_file(found, notes)}),
+            _lone_file(pixel_maps.read_fits), start=(b"SIMPLE  =",),
         ),
-        _file(
+        _file_format(
             "matlab", "directions.mat",
-            _pixels(lambda found, notes: {"directions.mat": pixel_maps.matlab_file(found, notes)}),
-            _alone(pixel_maps.read_matlab), start=(b"MATLAB 5.0",),
+            _write_pixel_maps(lambda found, notes: {"directions.mat": pixel_maps.matlab_file(found, notes)}),
+            _lone_file(pixel_maps.read_matlab), start=(b"MATLAB 5.0",),
         ),
-        _file(
+        _file_format(
             "azimuth-zenith-png", "azimuth_visible.png",
-            _pixels(lambda found, _: pixel_maps.sixteen_bit_files(found, suffix=".png")),
+            _write_pixel_maps(lambda found, _: pixel_maps.sixteen_bit_files(found, suffix=".png")),
             pixel_maps.read_sixteen_bit, start=(b"\x89PNG",), says=False,
         ),
-        _file(
+        _file_format(
             "azimuth-zenith-jp2", "azimuth_visible.jp2",
-            _pixels(lambda found, _: pixel_maps.sixteen_bit_files(found, suffix=".jp2")),
+            _write_pixel_maps(lambda found, _: pixel_maps.sixteen_bit_files(found, suffix=".jp2")),
             pixel_maps.read_sixteen_bit, start=(b"\x00\x00\x00\x0cjP  ",), says=False,
         ),
         Format(
-            name="map-netcdf", file="map.nc", write=partial(_map, form="netcdf"), read=_alone(read_table),
+            name="map-netcdf", file="map.nc", write=partial(_export_map, form="netcdf"), read=_lone_file(read_table),
             start=(b"\x89HDF",),
         ),
         Format(
-            name="map-npz", file="map.npz", write=partial(_map, form="npz"), read=_alone(read_table), start=(b"PK",)
+            name="map-npz", file="map.npz", write=partial(_export_map, form="npz"), read=_lone_file(read_table),
+            start=(b"PK",),
         ),
     )
 }  # fmt: skip

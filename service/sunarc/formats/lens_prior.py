@@ -21,7 +21,7 @@ LENS_SCHEMA = "sunarc.lens-prior/1"
 
 def lens_type_to_json(lens: LensType, *, software_version: str) -> dict[str, Any]:
     """Return the lens prior file's content; the principal point is relative to the image's centre."""
-    camera, center = lens.camera, _center(lens.camera)
+    camera, center = lens.camera, _image_center(lens.camera)
     return {
         "schema": LENS_SCHEMA,
         "image": {"width": camera.width, "height": camera.height, "mirrored": camera.mirrored},
@@ -45,7 +45,7 @@ def lens_type_to_json(lens: LensType, *, software_version: str) -> dict[str, Any
     }
 
 
-def _center(camera: Camera) -> tuple[float, float]:
+def _image_center(camera: Camera) -> tuple[float, float]:
     return (camera.width - 1) / 2.0, (camera.height - 1) / 2.0
 
 
@@ -74,14 +74,14 @@ def lens_type_from_json(document: object) -> LensType:
             field="schema", problem=f"{found!r}", remedy=f"give a {LENS_SCHEMA} file (--write-lens-prior makes one)"
         )
     try:
-        return _read(document)
+        return _parse_document(document)
     except KeyError as missing:
         raise InputError(field=str(missing.args[0]), problem="missing", remedy="give a whole lens prior file") from None
     except (TypeError, ValueError, OverflowError) as fault:
         raise InputError(field="lens prior", problem=str(fault), remedy="give a whole lens prior file") from None
 
 
-def _read(document: Mapping[str, Any]) -> LensType:
+def _parse_document(document: Mapping[str, Any]) -> LensType:
     image, lens, uncertainty = document["image"], document["lens"], document["uncertainty"]
     size = int(image["width"]), int(image["height"])
     offset = [float(one) for one in lens["principal_point_from_center_px"]]
@@ -89,8 +89,8 @@ def _read(document: Mapping[str, Any]) -> LensType:
         width=size[0],
         height=size[1],
         projection=lens["projection"],
-        focal_length_px=_pair(lens["focal_length_px"]),
-        principal_point_px=_pair([(n - 1) / 2.0 + o for n, o in zip(size, offset, strict=True)]),
+        focal_length_px=_parse_pair(lens["focal_length_px"]),
+        principal_point_px=_parse_pair([(n - 1) / 2.0 + o for n, o in zip(size, offset, strict=True)]),
         rotation_cam_enu=(0.0, 0.0, 0.0),
         skew_px=float(lens["skew_px"]),
         radial=tuple(float(one) for one in lens["radial"]),
@@ -101,28 +101,28 @@ def _read(document: Mapping[str, Any]) -> LensType:
     provenance, field = document["provenance"], uncertainty["field"]
     return LensType(
         camera=camera,
-        covariance=_covariance(uncertainty),
+        covariance=_parse_covariance(uncertainty),
         spread=UnitSpread(**document["spread"]),
-        field_px=_finite("uncertainty.field.amplitude_px", field["amplitude_px"]),
-        field_length_px=_finite("uncertainty.field.length_px", field["length_px"]),
+        field_px=_require_nonnegative("uncertainty.field.amplitude_px", field["amplitude_px"]),
+        field_length_px=_require_nonnegative("uncertainty.field.length_px", field["length_px"]),
         cameras=tuple(str(one) for one in provenance["cameras"]),
         days=tuple(str(one) for one in provenance["days"]),
     )
 
 
-def _pair(values: object) -> tuple[float, float]:
+def _parse_pair(values: object) -> tuple[float, float]:
     first, second = (float(one) for one in values)  # type: ignore[attr-defined]
     return first, second
 
 
-def _finite(key: str, value: object) -> float:
+def _require_nonnegative(key: str, value: object) -> float:
     number = float(value)  # type: ignore[arg-type]
     if not (math.isfinite(number) and number >= 0.0):
         raise InputError(field=key, problem=f"{number} is not allowed", remedy="give a number of at least 0")
     return number
 
 
-def _covariance(uncertainty: Mapping[str, Any]) -> FloatArray:
+def _parse_covariance(uncertainty: Mapping[str, Any]) -> FloatArray:
     """Return (17, 17), checked: finite, symmetric and positive definite."""
     key = "uncertainty.covariance"
     if tuple(uncertainty["parameters"]) != LENS_NAMES:

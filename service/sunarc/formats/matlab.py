@@ -56,13 +56,13 @@ def read_variables(content: bytes, names: Collection[str]) -> dict[str, Variable
     if order is None:
         raise ValueError("no header of version 5")
     found: dict[str, Variable] = {}
-    for element in _elements(memoryview(content)[_BEGIN:], order):
+    for element in _split_elements(memoryview(content)[_BEGIN:], order):
         whole = _decompress(element) if element.kind == _COMPRESSED else element.data
-        for one in _elements(whole, order) if element.kind == _COMPRESSED else (element,):
-            parts = _elements(one.data, order)
-            flags, shape, name = _begin(parts, order)
+        for one in _split_elements(whole, order) if element.kind == _COMPRESSED else (element,):
+            parts = _split_elements(one.data, order)
+            flags, shape, name = _read_array_head(parts, order)
             if one.kind == _MATRIX and name in names:
-                found[name] = _array(flags, shape, parts, order, depth=1)
+                found[name] = _read_array(flags, shape, parts, order, depth=1)
     if missing := sorted(set(names) - set(found)):
         raise ValueError(f"no {' and '.join(missing)}")
     return found
@@ -74,7 +74,7 @@ class _Element:
     data: memoryview
 
 
-def _elements(data: memoryview, order: str) -> Iterator[_Element]:
+def _split_elements(data: memoryview, order: str) -> Iterator[_Element]:
     """Yield the elements that lie one after another."""
     place = 0
     while place < len(data):
@@ -101,38 +101,38 @@ def _decompress(element: _Element) -> memoryview:
     return memoryview(whole)
 
 
-def _begin(parts: Iterator[_Element], order: str) -> tuple[int, tuple[int, ...], str]:
+def _read_array_head(parts: Iterator[_Element], order: str) -> tuple[int, tuple[int, ...], str]:
     """Return an array's flags, shape and name."""
     flags, shape, name = (next(parts, _Element(0, memoryview(b""))) for _ in range(3))
-    lengths = tuple(_numbers(shape, order).tolist())
+    lengths = tuple(_read_numbers(shape, order).tolist())
     if not lengths or not all(isinstance(length, int) and length >= 0 for length in lengths):
         raise ValueError("an array without a shape")
-    return int(_numbers(flags, order)[:1].sum()), lengths, bytes(name.data).decode("ascii")
+    return int(_read_numbers(flags, order)[:1].sum()), lengths, bytes(name.data).decode("ascii")
 
 
-def _numbers(element: _Element, order: str) -> NDArray[Any]:
+def _read_numbers(element: _Element, order: str) -> NDArray[Any]:
     if element.kind not in _NUMBERS:
         raise ValueError(f"an element of numbers is of type {element.kind}")
     return np.frombuffer(element.data, dtype=order + _NUMBERS[element.kind])
 
 
-def _array(flags: int, shape: tuple[int, ...], parts: Iterator[_Element], order: str, *, depth: int) -> Variable:
+def _read_array(flags: int, shape: tuple[int, ...], parts: Iterator[_Element], order: str, *, depth: int) -> Variable:
     """Return an array whose flags, shape and name were read."""
     kind, n = flags & 0xFF, math.prod(shape)
     if kind == _STRUCT and depth < _DEEPEST:
         next(parts, None), next(parts, None)  # the length and the names of its fields
-        return [_member(part, order, depth=depth + 1) for part in parts]
+        return [_read_member(part, order, depth=depth + 1) for part in parts]
     if not _FIRST_NUMERIC <= kind <= _LAST_NUMERIC or flags & 0x0800:
         raise ValueError("a variable is not of real numbers")
-    values = _numbers(next(parts, _Element(0, memoryview(b""))), order)
+    values = _read_numbers(next(parts, _Element(0, memoryview(b""))), order)
     if len(values) != n:
         raise ValueError("an array is not as long as its shape says")
     return values.reshape(shape, order="F")
 
 
-def _member(element: _Element, order: str, *, depth: int) -> Variable:
-    parts = _elements(element.data, order)
+def _read_member(element: _Element, order: str, *, depth: int) -> Variable:
+    parts = _split_elements(element.data, order)
     if element.kind != _MATRIX:
         raise ValueError("a member is no array")
-    flags, shape, _ = _begin(parts, order)
-    return _array(flags, shape, parts, order, depth=depth)
+    flags, shape, _ = _read_array_head(parts, order)
+    return _read_array(flags, shape, parts, order, depth=depth)

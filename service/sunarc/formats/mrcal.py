@@ -50,7 +50,7 @@ def splined_model(camera: Camera) -> SplinedModel:
     x0, y0 = camera.principal_point_px
     center = np.array([camera.width - 1.0 - x0 if camera.mirrored else x0, y0])
     u = 2.0 * sky.rays[:, :2] / (1.0 + sky.rays[:, 2:])
-    design = spline_weights(u, _knots_per_u(fov_deg))
+    design = spline_weights(u, _knot_density(fov_deg))
     displacement = (sky.pixels - center) / focal - u
     bending = spline_bending()
     # Control points beyond the image have no data: the third differences continue the surface smoothly.
@@ -82,21 +82,21 @@ def cameramodel(model: SplinedModel, camera: Camera, *, notes: list[str]) -> byt
 def splined_view(model: SplinedModel, *, size: tuple[int, int]) -> View:
     """Return the view of a model, up to the field of view that its name states."""
     focal, center, control = model.intrinsics[:2], model.intrinsics[2:4], model.intrinsics[4:].reshape(-1, 2)
-    half = math.radians(_fov_deg(model.name)) / 2.0
+    half = math.radians(_parse_field_deg(model.name)) / 2.0
 
-    def shown(rays: FloatArray) -> FloatArray:
+    def project_within_field(rays: FloatArray) -> FloatArray:
         with np.errstate(all="ignore"):
             u = 2.0 * rays[:, :2] / (1.0 + rays[:, 2:])
         valid = np.hypot(u[:, 0], u[:, 1]) <= 2.0 * math.tan(half / 2.0)
         u = np.where(valid[:, None], u, 0.0)
-        pixels = (u + spline_weights(u, _knots_per_u(_fov_deg(model.name))) @ control) * focal + center
+        pixels = (u + spline_weights(u, _knot_density(_parse_field_deg(model.name))) @ control) * focal + center
         return np.where(valid[:, None], pixels, np.nan)
 
     return lens_view(
         "mrcal",
         size=size,
         rotation=rotation_matrix(model.rotation_vector),
-        pixels_of_rays=shown,
+        pixels_of_rays=project_within_field,
         start=lambda pixels: (pixels - center) / focal,
     )
 
@@ -129,11 +129,11 @@ def read_mrcal(content: bytes, *, name: str) -> View:
     return splined_view(model, size=(int(width), int(height)))
 
 
-def _knots_per_u(fov_deg: float) -> float:
+def _knot_density(fov_deg: float) -> float:
     return (_KNOTS - 3) / (4.0 * math.tan(math.radians(fov_deg) / 4.0))
 
 
-def _fov_deg(name: str) -> float:
+def _parse_field_deg(name: str) -> float:
     return float(name.rpartition("=")[2])
 
 

@@ -89,23 +89,25 @@ def ocam_model(camera: Camera, *, cubic: bool = False) -> OcamModel:
     def misfit(moving: FloatArray) -> FloatArray:
         parameters = start.copy()
         parameters[free] = moving
-        return np.asarray(_forward(parameters, rays, sign, domain) - row_column_of_rays).ravel()
+        return np.asarray(_project_rays_by_model(parameters, rays, sign, domain) - row_column_of_rays).ravel()
 
     from scipy.optimize import least_squares  # noqa: PLC0415 - the service starts sooner without it
 
     found = start.copy()
     found[free] = least_squares(misfit, start[free], x_scale=_STEPS[free], method="lm").x
-    forward_px = float(np.max(np.linalg.norm(_forward(found, rays, sign, domain) - row_column_of_rays, axis=-1)))
+    forward_px = float(
+        np.max(np.linalg.norm(_project_rays_by_model(found, rays, sign, domain) - row_column_of_rays, axis=-1))
+    )
     rotation = rotation_matrix(found[4:7]) @ frame @ rotation_matrix(camera.rotation_cam_enu)
     good_px = max(_GOOD_ENOUGH_PX, 1.3 * forward_px)
     model = OcamModel(
         pixel_to_ray=np.zeros(0),
         ray_to_pixel=np.asarray(Chebyshev(found[7:], domain).convert(kind=Polynomial).coef, dtype=np.float64),
         center_row_column=found[:2],
-        affine=_affine(found, sign),
+        affine=_make_affine(found, sign),
         rotation=rotation,
     )
-    polynomial = _backward(camera, sky, model, tried=_CUBIC if cubic else _BACKWARD, good_px=good_px)
+    polynomial = _fit_pixel_to_ray(camera, sky, model, tried=_CUBIC if cubic else _BACKWARD, good_px=good_px)
     return replace(model, pixel_to_ray=polynomial)
 
 
@@ -119,7 +121,7 @@ def ocam_view(form: str, model: OcamModel, *, size: tuple[int, int], has_pose: b
     z_of = np.polynomial.polynomial.polyval(radii, model.pixel_to_ray)
     elevations = np.arctan2(z_of, radii)
     last = _rise_length(elevations)
-    limit = math.pi / 2 if to_radius is None else _highest(to_radius)
+    limit = math.pi / 2 if to_radius is None else _find_rising_limit(to_radius)
 
     def project_rays(directions: FloatArray) -> FloatArray:
         rays = directions @ turn.T
@@ -155,19 +157,19 @@ def _rise_length(values: NDArray[np.floating[Any]]) -> int:
     return int(np.argmax(falls)) + 1 if np.any(falls) else len(values)
 
 
-def _highest(ray_to_pixel: FloatArray) -> float:
+def _find_rising_limit(ray_to_pixel: FloatArray) -> float:
     """Return the angle above the image plane up to which a radius rises, looked for beyond 10 degrees off the axis."""
     angles = np.linspace(math.radians(-80.0), math.pi / 2, _NODES)
     return float(angles[_rise_length(np.polynomial.polynomial.polyval(angles, ray_to_pixel)) - 1])
 
 
-def _affine(parameters: FloatArray, sign: float) -> FloatArray:
+def _make_affine(parameters: FloatArray, sign: float) -> FloatArray:
     """Return c, d, e of a symmetric matrix, mirrored or not."""
     stretch, shear = parameters[2:4]
     return np.array([sign * stretch, shear, sign * shear]) + 0.0  # no -0
 
 
-def _forward(parameters: FloatArray, rays: FloatArray, sign: float, domain: list[float]) -> FloatArray:
+def _project_rays_by_model(parameters: FloatArray, rays: FloatArray, sign: float, domain: list[float]) -> FloatArray:
     """Return (n, 2) rows and columns of rays in the model's frame before its small turn.
 
     `parameters`: centre, two of the affine part, a rotation vector, and a Chebyshev series of the radius on `domain`.
@@ -176,11 +178,11 @@ def _forward(parameters: FloatArray, rays: FloatArray, sign: float, domain: list
     across = np.hypot(ray[:, 0], ray[:, 1])
     radius = Chebyshev(parameters[7:], domain)(np.arctan2(ray[:, 2], across))
     x, y = ray[:, 0] / across * radius, ray[:, 1] / across * radius
-    c, d, e = _affine(parameters, sign)
+    c, d, e = _make_affine(parameters, sign)
     return np.stack([c * x + d * y + parameters[0], e * x + y + parameters[1]], axis=-1)
 
 
-def _backward(
+def _fit_pixel_to_ray(
     camera: Camera, sky: Sky, model: OcamModel, *, tried: tuple[tuple[int, ...], ...], good_px: float
 ) -> FloatArray:
     """Return the polynomial from a pixel to a ray, with the first powers that are good enough."""
@@ -198,12 +200,12 @@ def _backward(
         z = Polynomial(polynomial)(radius)
         rays = np.concatenate([plane, z[:, None]], axis=-1) @ model.rotation
         rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
-        if np.nanmax(np.linalg.norm(_landing(camera, rays) - sky.pixels, axis=-1)) < good_px:
+        if np.nanmax(np.linalg.norm(_project_beyond_field(camera, rays) - sky.pixels, axis=-1)) < good_px:
             break
     return polynomial
 
 
-def _landing(camera: Camera, directions: FloatArray) -> FloatArray:
+def _project_beyond_field(camera: Camera, directions: FloatArray) -> FloatArray:
     """Return pixels of directions, also just beyond the field."""
     return project(replace(camera, max_angle=camera.max_angle + 0.02), directions)
 
@@ -215,16 +217,16 @@ _REMEDY = "give the file that the toolbox's exportData writes"
 def calib_results(model: OcamModel, *, width: int, height: int, notes: list[str]) -> bytes:
     """Return OCamCalib's text file; its notes stand at the end, which readers ignore."""
 
-    def counted(numbers: FloatArray) -> str:
+    def format_counted(numbers: FloatArray) -> str:
         return " ".join([str(len(numbers)), *(f"{number:.17e}" for number in numbers)])
 
     row, column = model.center_row_column
     c, d, e = model.affine
     blocks = [
         ('polynomial coefficients for the DIRECT mapping function (from a pixel to a ray: "cam2world")',
-         counted(model.pixel_to_ray)),
+         format_counted(model.pixel_to_ray)),
         ('polynomial coefficients for the inverse mapping function (from a ray to a pixel: "world2cam")',
-         counted(model.ray_to_pixel)),
+         format_counted(model.ray_to_pixel)),
         ('center: "row" and "column", starting from 0 (C convention)', f"{row:.9f} {column:.9f}"),
         ('affine parameters "c", "d", "e"', f"{c:.12f} {d:.12f} {e:.12f}"),
         ('image size: "height" and "width"', f"{height} {width}"),

@@ -94,13 +94,13 @@ def fits_file(found: BackProjectionMap, notes: list[str]) -> bytes:
     """Return a FITS file: azimuth first, zenith, elevation and sigma as image extensions; degrees, top row first."""
     layers = {"AZIMUTH": found.azimuth_deg, "ZENITH": found.zenith_deg, "ELEVATION": 90.0 - found.zenith_deg}
     units = [
-        _hdu(name, values, notes, first=name == "AZIMUTH")
+        _make_fits_unit(name, values, notes, first=name == "AZIMUTH")
         for name, values in (layers | {"SIGMA": found.sigma_deg}).items()
     ]
     return b"".join(units)
 
 
-def _hdu(name: str, values: NDArray[Any], notes: list[str], *, first: bool) -> bytes:
+def _make_fits_unit(name: str, values: NDArray[Any], notes: list[str], *, first: bool) -> bytes:
     height, width = values.shape
     kind = "SIMPLE  =                    T" if first else "XTENSION= 'IMAGE   '"
     numbers = {"BITPIX": -32, "NAXIS": 2, "NAXIS1": width, "NAXIS2": height}
@@ -123,7 +123,7 @@ def read_fits(content: bytes, *, name: str) -> View:
     place = 0
     try:
         while place < len(content) and len(layers) < 2:
-            cards, place = _header(content, place)
+            cards, place = _read_fits_header(content, place)
             width, height = int(cards["NAXIS1"]), int(cards["NAXIS2"])
             if cards["BITPIX"] != "-32":
                 raise KeyError("BITPIX = -32")  # noqa: TRY301 - one message for all that is missing
@@ -137,7 +137,7 @@ def read_fits(content: bytes, *, name: str) -> View:
     return _angle_view("fits", azimuth, zenith, name=name)
 
 
-def _header(content: bytes, place: int) -> tuple[dict[str, str], int]:
+def _read_fits_header(content: bytes, place: int) -> tuple[dict[str, str], int]:
     """Return the keywords of a header that begins at a place, and where its data begin."""
     cards: dict[str, str] = {}
     for start in range(place, len(content), _CARD):

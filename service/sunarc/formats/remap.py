@@ -123,12 +123,12 @@ def remap_table(
     tables = zip(("map_x", "map_y"), remap_tables(camera, directions), strict=True)
     arrays = {n: Variable(dimensions=("y", "x"), values=v, attributes=described) for n, v in tables}
     return Table(
-        variables=arrays | _coordinates(len(directions), half_width_m, place),
+        variables=arrays | _make_cell_coordinates(len(directions), half_width_m, place),
         attributes={"Conventions": "CF-1.11", "title": f"Tables for cv2.remap: {grid} grid", **said, **attributes},
     )
 
 
-def _coordinates(size: int, half_width_m: float, place: tuple[float, float] | None) -> dict[str, Variable]:
+def _make_cell_coordinates(size: int, half_width_m: float, place: tuple[float, float] | None) -> dict[str, Variable]:
     """Return x, y of the cells: m on a sphere about the camera for a ground grid, else degrees of zenith angle."""
     across = (np.arange(size) - (size - 1) / 2.0) / (size / 2.0) * _RIGHT_ANGLE_DEG
     named = [{"units": "degree", "long_name": f"zenith angle towards the {side}"} for side in ("east", "north")]
@@ -190,7 +190,7 @@ def _table_view(tables: FloatArray, size: tuple[int, int]) -> View:
     middle, across = (count - 1) / 2.0, np.arange(count)
     between = RegularGridInterpolator((across, across), tables, bounds_error=False, fill_value=np.nan)
 
-    def shown(rays: FloatArray) -> FloatArray:
+    def look_up_pixels(rays: FloatArray) -> FloatArray:
         radius = np.hypot(rays[:, 0], rays[:, 1])
         zenith_deg = np.degrees(np.arctan2(radius, rays[:, 2]))
         cells = (
@@ -198,8 +198,8 @@ def _table_view(tables: FloatArray, size: tuple[int, int]) -> View:
         )
         return np.asarray(between(np.stack([middle - cells[:, 1], middle + cells[:, 0]], axis=-1)))
 
-    at_zenith = shown(np.array([[0.0, 0.0, 1.0]]))[0]
-    east, north = shown(np.array([[math.sin(0.1), 0.0, math.cos(0.1)], [0.0, math.sin(0.1), math.cos(0.1)]]))
+    at_zenith = look_up_pixels(np.array([[0.0, 0.0, 1.0]]))[0]
+    east, north = look_up_pixels(np.array([[math.sin(0.1), 0.0, math.cos(0.1)], [0.0, math.sin(0.1), math.cos(0.1)]]))
     frame = np.column_stack([east - at_zenith, north - at_zenith]) / (
         2.0 * math.tan(0.05)
     )  # px per unit, by east and north
@@ -211,6 +211,6 @@ def _table_view(tables: FloatArray, size: tuple[int, int]) -> View:
         "opencv-remap",
         size=size,
         rotation=turn,
-        pixels_of_rays=lambda rays: shown(rays @ turn),
+        pixels_of_rays=lambda rays: look_up_pixels(rays @ turn),
         start=lambda pixels: (pixels - at_zenith) / focal,
     )

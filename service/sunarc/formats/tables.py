@@ -48,13 +48,13 @@ def netcdf_bytes(table: Table) -> bytes:
                 if name not in file.dimensions:
                     file.dimensions[name] = size
         for name, variable in table.variables.items():
-            written = file.create_variable(name, variable.dimensions, **_content(variable.values))
+            written = file.create_variable(name, variable.dimensions, **_make_array_options(variable.values))
             written.attrs.update(variable.attributes)
         file.attrs.update(table.attributes)
     return target.getvalue()
 
 
-def _content(values: NDArray[Any]) -> dict[str, Any]:
+def _make_array_options(values: NDArray[Any]) -> dict[str, Any]:
     """Return the keywords of an array for h5netcdf: texts are of any length, maps are compressed without loss."""
     if values.dtype.kind == "U":
         return {"dtype": extra_module("h5py", extra="netcdf").string_dtype(), "data": values.astype(object)}
@@ -118,8 +118,8 @@ def require_directions(directions: NDArray[Any], shape: tuple[int, int], *, name
 def map_table(found: BackProjectionMap, document: Mapping[str, Any], *, masks: Mapping[str, Variable]) -> Table:
     """Return the map of the directions of every pixel, with masks of its shape."""
     height, width = found.zenith_deg.shape
-    variables = _axes(np.arange(width), np.arange(height)) | discovery_variables(document)
-    variables |= _views(found.zenith_deg, found.azimuth_deg, found.directions, found.sigma_deg)
+    variables = _make_axis_variables(np.arange(width), np.arange(height)) | discovery_variables(document)
+    variables |= _make_direction_variables(found.zenith_deg, found.azimuth_deg, found.directions, found.sigma_deg)
     return Table(
         variables=variables | dict(masks),
         attributes=discovery_attributes(document, title="What every pixel of an all-sky imager sees"),
@@ -140,8 +140,10 @@ def calibration_table(calibration: Calibration, document: Mapping[str, Any]) -> 
     views = np.asarray(directions[..., 2:5], dtype=np.float64)
     error = compare(camera_view(camera), grid_view("netcdf", size=size, x=x, y=y, directions=views))
     names = np.array(calibration.parameter_names)
-    variables = _axes(x, y) | discovery_variables(document)
-    variables |= _views(directions[..., 0], directions[..., 1], directions[..., 2:5], directions[..., 5])
+    variables = _make_axis_variables(x, y) | discovery_variables(document)
+    variables |= _make_direction_variables(
+        directions[..., 0], directions[..., 1], directions[..., 2:5], directions[..., 5]
+    )
     variables |= {
         "parameter_name": Variable(
             dimensions=("parameter",), values=names, attributes={"long_name": "fitted parameter of a row"}
@@ -172,7 +174,7 @@ def every_nth(step: int, size: int) -> IntArray:
     return np.unique(np.r_[np.arange(0, size, step), size - 1])
 
 
-def _axes(x: IntArray, y: IntArray) -> dict[str, Variable]:
+def _make_axis_variables(x: IntArray, y: IntArray) -> dict[str, Variable]:
     def axis(name: str, values: IntArray, meaning: str) -> Variable:
         return Variable(
             dimensions=(name,), values=values.astype(np.int32), attributes={"units": "1", "long_name": meaning}
@@ -190,7 +192,7 @@ def _axes(x: IntArray, y: IntArray) -> dict[str, Variable]:
     }
 
 
-def _views(
+def _make_direction_variables(
     zenith: NDArray[Any], azimuth: NDArray[Any], directions: NDArray[Any], sigma: NDArray[Any]
 ) -> dict[str, Variable]:
     def view(values: NDArray[Any], units: str, meaning: str, *more: str, **attributes: str) -> Variable:

@@ -108,12 +108,12 @@ def lens_view(
         width=size[0],
         height=size[1],
         project=lambda directions: pixels_of_rays(directions @ rotation.T),
-        unproject=lambda pixels: _rays(pixels_of_rays, pixels, start(pixels)) @ rotation,
+        unproject=lambda pixels: _solve_rays(pixels_of_rays, pixels, start(pixels)) @ rotation,
         has_pose=has_pose,
     )
 
 
-def _rays(pixels_of_rays: Convert, pixels: FloatArray, start: FloatArray) -> FloatArray:
+def _solve_rays(pixels_of_rays: Convert, pixels: FloatArray, start: FloatArray) -> FloatArray:
     """Return (n, 3) rays that land on pixels (n, 2), from a start (n, 2) in the stereographic plane."""
     u = start
     with np.errstate(all="ignore"):  # beyond the model's field there is no solution: NaN
@@ -122,7 +122,7 @@ def _rays(pixels_of_rays: Convert, pixels: FloatArray, start: FloatArray) -> Flo
             columns = [
                 (pixels_of_rays(_stereographic_ray(u + step)) - pixels - off) / _STEP_U for step in np.eye(2) * _STEP_U
             ]
-            u = u - _solved(np.stack(columns, axis=-1), off)
+            u = u - _solve_two_by_two(np.stack(columns, axis=-1), off)
         rays = _stereographic_ray(u)
         solved = np.linalg.norm(pixels_of_rays(rays) - pixels, axis=-1) < _SAME_PX
     return np.where(solved[:, None], rays, np.nan)
@@ -134,7 +134,7 @@ def _stereographic_ray(u: FloatArray) -> FloatArray:
     return np.asarray(np.concatenate([u, 1.0 - quarter], axis=-1) / (1.0 + quarter))
 
 
-def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
+def _solve_two_by_two(matrix: FloatArray, right: FloatArray) -> FloatArray:
     """Return the solutions of (n, 2, 2) systems; not finite where one has none."""
     (a, b), (c, d) = np.moveaxis(matrix, 0, -1)
     x, y = right.T
@@ -154,7 +154,7 @@ def grid_view(form: str, *, size: tuple[int, int], x: IntArray, y: IntArray, dir
 
     between = RegularGridInterpolator((y, x), directions, bounds_error=False, fill_value=None)
 
-    def looked_at(pixels: FloatArray) -> FloatArray:
+    def interpolate_directions(pixels: FloatArray) -> FloatArray:
         inside = np.all((pixels >= -0.5) & (pixels <= np.array(size) - 0.5), axis=-1)
         found = np.where(inside[:, None], between(pixels[:, ::-1]), np.nan)
         return np.asarray(found / np.linalg.norm(found, axis=-1, keepdims=True))
@@ -163,12 +163,12 @@ def grid_view(form: str, *, size: tuple[int, int], x: IntArray, y: IntArray, dir
         form=form,
         width=size[0],
         height=size[1],
-        project=lambda wanted: _pixels(looked_at, wanted, nodes=_nodes(x, y, directions)),
-        unproject=looked_at,
+        project=lambda wanted: _search_pixels(interpolate_directions, wanted, nodes=_select_nodes(x, y, directions)),
+        unproject=interpolate_directions,
     )
 
 
-def _nodes(x: IntArray, y: IntArray, directions: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _select_nodes(x: IntArray, y: IntArray, directions: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return some of a map's nodes that have a direction: pixels (n, 2) and directions (n, 3)."""
     step = max(1, round((directions[..., 0].size / _START_NODES) ** 0.5))
     some = directions[::step, ::step]
@@ -177,7 +177,7 @@ def _nodes(x: IntArray, y: IntArray, directions: FloatArray) -> tuple[FloatArray
     return pixels[valid], np.asarray(some[valid], dtype=np.float64)
 
 
-def _pixels(looked_at: Convert, wanted: FloatArray, *, nodes: tuple[FloatArray, FloatArray]) -> FloatArray:
+def _search_pixels(looked_at: Convert, wanted: FloatArray, *, nodes: tuple[FloatArray, FloatArray]) -> FloatArray:
     """Return the pixels (n, 2) of a map whose directions are (n, 3)."""
     from scipy.spatial import cKDTree  # noqa: PLC0415 - the service starts sooner without it
 
@@ -188,7 +188,7 @@ def _pixels(looked_at: Convert, wanted: FloatArray, *, nodes: tuple[FloatArray, 
             columns = [(looked_at(pixels + step) - here) / _STEP_PX for step in np.eye(2) * _STEP_PX]
             jacobian = np.stack(columns, axis=-1)
             normal = np.swapaxes(jacobian, -1, -2)
-            pixels = pixels + _solved(normal @ jacobian, (normal @ (wanted - here)[..., None])[..., 0])
+            pixels = pixels + _solve_two_by_two(normal @ jacobian, (normal @ (wanted - here)[..., None])[..., 0])
         apart = np.linalg.norm(looked_at(pixels) - wanted, axis=-1)
     return np.where((apart < 1e-6)[:, None], pixels, np.nan)
 
@@ -299,9 +299,9 @@ def compare(first: View, second: View) -> Comparison:
     zenith_deg = np.degrees(np.arccos(np.clip(directions[:, 2], -1.0, 1.0)))
     vector = np.degrees(rotation_vector(rotation))
     return Comparison(
-        total=_differences(off_px, off_deg, described),
+        total=_summarise_differences(off_px, off_deg, described),
         by_zenith=tuple(
-            _differences(off_px, off_deg, described & (zenith_deg >= low) & (zenith_deg < high))
+            _summarise_differences(off_px, off_deg, described & (zenith_deg >= low) & (zenith_deg < high))
             for low, high in ZENITH_RANGES_DEG
         ),
         undescribed=float(np.mean(~described)),
@@ -315,7 +315,7 @@ def compare(first: View, second: View) -> Comparison:
     )
 
 
-def _differences(off_px: FloatArray, off_deg: FloatArray, which: np.typing.NDArray[np.bool_]) -> Differences:
+def _summarise_differences(off_px: FloatArray, off_deg: FloatArray, which: np.typing.NDArray[np.bool_]) -> Differences:
     n = int(np.sum(which))
     if n == 0:
         return Differences(n=0, rms_px=math.nan, max_px=math.nan, rms_deg=math.nan, max_deg=math.nan)
@@ -403,13 +403,13 @@ def closest_camera(view: View, *, projection: Projection | None = None) -> tuple
     """
     if view.camera is not None:
         return view.camera, compare(camera_view(view.camera), view)
-    pixels, directions = _samples(view)
-    fitted = [_fitted(view, pixels, directions, one) for one in ((projection,) if projection else _PROJECTIONS)]
+    pixels, directions = _sample_view(view)
+    fitted = [_fit_projection(view, pixels, directions, one) for one in ((projection,) if projection else _PROJECTIONS)]
     camera = min(fitted, key=lambda found: found[1])[0]
     return camera, compare(camera_view(camera), view)
 
 
-def _samples(view: View) -> tuple[FloatArray, FloatArray]:
+def _sample_view(view: View) -> tuple[FloatArray, FloatArray]:
     """Return pixels (n, 2) over the image and their directions (n, 3)."""
     x, y = (np.linspace(0.0, size - 1.0, _GRID) for size in (view.width, view.height))
     pixels = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
@@ -422,30 +422,32 @@ def _samples(view: View) -> tuple[FloatArray, FloatArray]:
     return pixels[valid], directions[valid]
 
 
-def _fitted(view: View, pixels: FloatArray, directions: FloatArray, projection: Projection) -> tuple[Camera, float]:
+def _fit_projection(
+    view: View, pixels: FloatArray, directions: FloatArray, projection: Projection
+) -> tuple[Camera, float]:
     """Return the closest camera of a projection, and the sum of its squared residuals in px²."""
-    start = _ideal(view, pixels, directions, projection)
+    start = _make_ideal_lens(view, pixels, directions, projection)
     vector, scale = start.to_vector(), 1.0 / np.maximum(np.abs(start.to_vector()[_FITTED]), 1.0)
 
-    def parameters_of(moving: FloatArray) -> Camera:
+    def make_camera(moving: FloatArray) -> Camera:
         vector[_FITTED] = moving
         return start.replace_parameters(vector)
 
     def residuals(moving: FloatArray) -> FloatArray:
-        found = project_with_jacobian(parameters_of(moving), directions)[0]
+        found = project_with_jacobian(make_camera(moving), directions)[0]
         return np.nan_to_num(found - pixels).ravel()
 
     def jacobian(moving: FloatArray) -> FloatArray:
-        rows = project_with_jacobian(parameters_of(moving), directions)[1][..., _FITTED]
+        rows = project_with_jacobian(make_camera(moving), directions)[1][..., _FITTED]
         return np.nan_to_num(rows).reshape(-1, len(_FITTED))
 
     from scipy.optimize import least_squares  # noqa: PLC0415 - the service starts sooner without it
 
     best = least_squares(residuals, vector[_FITTED], jacobian, x_scale=1.0 / scale, method="lm")
-    return parameters_of(best.x), 2.0 * float(best.cost)
+    return make_camera(best.x), 2.0 * float(best.cost)
 
 
-def _ideal(view: View, pixels: FloatArray, directions: FloatArray, projection: Projection) -> Camera:
+def _make_ideal_lens(view: View, pixels: FloatArray, directions: FloatArray, projection: Projection) -> Camera:
     """Return the ideal lens about the image's centre, with the handedness that fits there."""
     center = np.array([view.width - 1.0, view.height - 1.0]) / 2.0
     off = pixels - center

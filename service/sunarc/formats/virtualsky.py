@@ -55,13 +55,13 @@ def virtualsky_model(camera: Camera) -> VirtualSky:
     directions = hemisphere(_FITTED)
     pixels = project(camera, directions)
     seen = camera_sees(camera, pixels)
-    fitted = [_fitted(projection, directions[seen], pixels[seen]) for projection in _RADIUS]
+    fitted = [_fit_square(projection, directions[seen], pixels[seen]) for projection in _RADIUS]
     return min(fitted, key=lambda one: one[0])[1]
 
 
-def _fitted(projection: str, directions: FloatArray, pixels: FloatArray) -> tuple[float, VirtualSky]:
+def _fit_square(projection: str, directions: FloatArray, pixels: FloatArray) -> tuple[float, VirtualSky]:
     """Return the sum of squares, px², and the square of a projection: it is linear in the radius' two components."""
-    east, north = _at(projection, directions).T
+    east, north = _map_to_unit_circle(projection, directions).T
     one, nothing = np.ones_like(east), np.zeros_like(east)
     matrix = np.concatenate([
         np.stack([one, nothing, -east, north], axis=-1),
@@ -79,7 +79,7 @@ def _fitted(projection: str, directions: FloatArray, pixels: FloatArray) -> tupl
     return float(np.sum((matrix @ found - values) ** 2)), square
 
 
-def _at(projection: str, directions: FloatArray) -> FloatArray:
+def _map_to_unit_circle(projection: str, directions: FloatArray) -> FloatArray:
     """Return (n, 2) shares of the horizon's radius, to the east and to the north."""
     radius, _ = _RADIUS[projection]
     across = np.hypot(directions[:, 0], directions[:, 1])
@@ -94,17 +94,19 @@ def virtualsky_view(square: VirtualSky, *, size: tuple[int, int]) -> View:
     matrix = square.radius_px * np.array([[-math.cos(turn), math.sin(turn)], [-math.sin(turn), -math.cos(turn)]])
     center, (_, zenith) = np.array(square.center_px), _RADIUS[square.projection]
 
-    def pixels_of(directions: FloatArray) -> FloatArray:
-        return np.asarray(center + _at(square.projection, directions) @ matrix.T)
+    def project_directions(directions: FloatArray) -> FloatArray:
+        return np.asarray(center + _map_to_unit_circle(square.projection, directions) @ matrix.T)
 
-    def directions_of(pixels: FloatArray) -> FloatArray:
+    def unproject_pixels(pixels: FloatArray) -> FloatArray:
         place = (pixels - center) @ np.linalg.inv(matrix).T
         share = np.hypot(*place.T)
         angle = zenith(share)
         across = place * (np.sin(angle) / np.maximum(share, np.finfo(float).tiny))[:, None]
         return np.concatenate([across, np.cos(angle)[:, None]], axis=-1)
 
-    return View(form="virtualsky", width=size[0], height=size[1], project=pixels_of, unproject=directions_of)
+    return View(
+        form="virtualsky", width=size[0], height=size[1], project=project_directions, unproject=unproject_pixels
+    )
 
 
 def virtualsky_json(square: VirtualSky, *, size: tuple[int, int], site: Site, notes: list[str]) -> bytes:

@@ -61,15 +61,15 @@ def clock_offsets(lags: Sequence[Lag], *, east_north_m: FloatArray) -> ClockOffs
     days, as one of another cloud does, is left out.
     """
     count = len(east_north_m)
-    used = [lag for pair in combinations(range(count), 2) for lag in _consistent(lags, pair)]
+    used = [lag for pair in combinations(range(count), 2) for lag in _select_consistent(lags, pair)]
     offset, sigma = np.full(count, np.nan), np.full(count, np.nan)
     for camera in sorted({number for lag in used for number in (lag.first, lag.second)}):
-        mean, covariance = _posterior(used, east_north_m, camera)
+        mean, covariance = _compute_posterior(used, east_north_m, camera)
         offset[camera], sigma[camera] = mean[camera], np.sqrt(covariance[camera, camera])
     return ClockOffsets(offset_s=offset, sigma_s=sigma, n_lags=len(used))
 
 
-def _consistent(lags: Sequence[Lag], pair: tuple[int, int]) -> list[Lag]:
+def _select_consistent(lags: Sequence[Lag], pair: tuple[int, int]) -> list[Lag]:
     """Return the lags of a pair that are near their median."""
     own = [lag for lag in lags if (lag.first, lag.second) == pair]
     if not own:
@@ -80,7 +80,7 @@ def _consistent(lags: Sequence[Lag], pair: tuple[int, int]) -> list[Lag]:
     return [lag for lag, one in zip(own, off, strict=True) if one <= limit]
 
 
-def _posterior(lags: Sequence[Lag], places: FloatArray, camera: int) -> tuple[FloatArray, FloatArray]:
+def _compute_posterior(lags: Sequence[Lag], places: FloatArray, camera: int) -> tuple[FloatArray, FloatArray]:
     """Return mean and covariance of the clocks, one of them unknown, of the season's slowness and of the days'."""
     count = len(places)
     days = sorted({lag.day for lag in lags})

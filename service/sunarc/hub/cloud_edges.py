@@ -52,27 +52,30 @@ def cloud_lag(first: SunSeries, second: SunSeries) -> tuple[float, float] | None
     begin = min(first.unix_s[0], second.unix_s[0])
     count = int((max(first.unix_s[-1], second.unix_s[-1]) - begin) / _STEP_S) + 1
     grid = begin + _STEP_S * np.arange(count)
-    a, b = _on_grid(first, grid), _on_grid(second, grid)
-    edges = min(_edges(first), _edges(second))
+    a, b = _sample_on_grid(first, grid), _sample_on_grid(second, grid)
+    edges = min(_count_edges(first), _count_edges(second))
     if edges < _FEWEST_EDGES:
         return None
-    lags, correlation = _correlation(a, b)
+    lags, correlation = _correlate_by_lag(a, b)
     best = int(np.argmax(correlation))
     far = np.abs(lags - lags[best]) > _NEAR_S
     lead = correlation[best] - correlation[far].max(initial=-1.0)
     if correlation[best] < _LEAST_CORRELATION or lead < _LEAST_LEAD or not 0 < best < len(lags) - 1:
         return None
-    return _refined(first, second, float(lags[best]))
+    return _refine_lag(first, second, float(lags[best]))
 
 
-def _refined(first: SunSeries, second: SunSeries, lag_s: float) -> tuple[float, float] | None:
+def _refine_lag(first: SunSeries, second: SunSeries, lag_s: float) -> tuple[float, float] | None:
     """Return the mean lag of edges of one kind that match, and its 1-sigma; None of few.
 
     The correlation has its peak at the most frequent lag, which is not the mean where exposures keep a distance.
     """
     for _ in range(_ROUNDS):
         off = np.concatenate(
-            [_nearest(_edges_at(second, kind), _edges_at(first, kind) + lag_s) for kind in (True, False)]
+            [
+                _delay_to_nearest(_find_edge_times(second, kind), _find_edge_times(first, kind) + lag_s)
+                for kind in (True, False)
+            ]
         )
         off = off[np.abs(off) < _MATCH_S]
         if len(off) < _FEWEST_EDGES:
@@ -81,14 +84,14 @@ def _refined(first: SunSeries, second: SunSeries, lag_s: float) -> tuple[float, 
     return lag_s, max(float(np.std(off)), _STEP_S) / len(off) ** 0.5
 
 
-def _edges_at(series: SunSeries, rising: bool) -> FloatArray:  # noqa: FBT001 - the kind of an edge
+def _find_edge_times(series: SunSeries, rising: bool) -> FloatArray:  # noqa: FBT001 - the kind of an edge
     """Return when the sun was found again, or lost: the middle between the exposures, none over a gap."""
     change = np.diff(series.seen.astype(np.int8)) == (1 if rising else -1)
     change &= np.diff(series.unix_s) <= _LONGEST_GAP_S
     return np.asarray(0.5 * (series.unix_s[1:] + series.unix_s[:-1])[change])
 
 
-def _nearest(times: FloatArray, asked: FloatArray) -> FloatArray:
+def _delay_to_nearest(times: FloatArray, asked: FloatArray) -> FloatArray:
     """Return how much later than each of the times asked for the nearest time is."""
     if not len(times):
         return np.zeros(0)
@@ -97,11 +100,11 @@ def _nearest(times: FloatArray, asked: FloatArray) -> FloatArray:
     return np.asarray(np.where(np.abs(near[0]) < np.abs(near[1]), near[0], near[1]))
 
 
-def _edges(series: SunSeries) -> int:
+def _count_edges(series: SunSeries) -> int:
     return int(np.count_nonzero(np.diff(series.seen.astype(np.int8))))
 
 
-def _on_grid(series: SunSeries, grid: FloatArray) -> FloatArray:
+def _sample_on_grid(series: SunSeries, grid: FloatArray) -> FloatArray:
     """Return +1 where the nearest exposure saw the sun, -1 where it did not, NaN without one near."""
     middle = 0.5 * (series.unix_s[1:] + series.unix_s[:-1])
     index = np.searchsorted(middle, grid)
@@ -109,7 +112,7 @@ def _on_grid(series: SunSeries, grid: FloatArray) -> FloatArray:
     return np.where(known, np.where(series.seen[index], 1.0, -1.0), np.nan)
 
 
-def _correlation(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _correlate_by_lag(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return lags, s, and the correlation of a(t) and b(t + lag) over the times that both know."""
     size = next_fast_len(2 * len(a), real=True)
     known = [np.isfinite(x).astype(np.float64) for x in (a, b)]

@@ -121,7 +121,7 @@ class FeedReceiver:
         RefusedError : the hub takes none of them.
         """
         try:
-            return self._take(sent, large=large)
+            return self._take_rows(sent, large=large)
         finally:
             n = self.archive.feeds.n_failing(sent.camera)
             if not n:
@@ -129,45 +129,47 @@ class FeedReceiver:
             elif n != self._failed.get(sent.camera, (0, None))[0]:
                 self._failed[sent.camera] = (n, self.now())
 
-    def _take(self, sent: SentBody, *, large: bool) -> int | None:
+    def _take_rows(self, sent: SentBody, *, large: bool) -> int | None:
         camera, installation, after = sent.camera, sent.installation, sent.after
         self.require_token(camera, sent.token)
         if not _INSTALLATION.fullmatch(installation):
-            raise self._refuse(camera, "", Refusal(reason="malformed", text="the installation's id is not a word"))
+            raise self._record_refusal(
+                camera, "", Refusal(reason="malformed", text="the installation's id is not a word")
+            )
         if sent.revision > head_revision():
             text = f"the imager is at revision {sent.revision}, the hub at {head_revision()}"
-            raise self._refuse(camera, installation, Refusal(reason="newer_imager", text=text))
+            raise self._record_refusal(camera, installation, Refusal(reason="newer_imager", text=text))
         try:
-            content = _decompressed(sent.body, MOST_BYTES if large else LARGE_CONTENT_BYTES)
+            content = _decompress_body(sent.body, MOST_BYTES if large else LARGE_CONTENT_BYTES)
             if content is None and not large:
                 return None
-            rows = read_feed_lines(_bounded(content), after=after)
+            rows = read_feed_lines(_require_memory(content), after=after)
         except InputError as error:
-            raise self._refuse(camera, installation, Refusal(reason="malformed", text=str(error))) from None
+            raise self._record_refusal(camera, installation, Refusal(reason="malformed", text=str(error))) from None
         except _TooLargeError as error:
-            raise _error(Refusal(reason="body_too_large", text=str(error))) from None  # see FeedSizes
+            raise _make_error(Refusal(reason="body_too_large", text=str(error))) from None  # see FeedSizes
         batch = FeedBatch(camera=camera, installation=installation, after=after, rows=rows)
         committed = self.archive.feeds.take(batch, now=self.now())
         if isinstance(committed, Refusal):
-            raise _error(committed)
+            raise _make_error(committed)
         return committed
 
     def require_token(self, camera: str, token: str) -> None:
         """Raise `RefusedError` where a token is not one of the camera's, and write that into quarantine."""
         own, now = token_digest(token), self.now()
-        if self._has(camera, own, now):
+        if self._has_valid_token(camera, own, now):
             return
         self._read_at = None  # it may be new
-        if self._has(camera, own, now):
+        if self._has_valid_token(camera, own, now):
             return
         if camera not in self._tokens:
             refusal = Refusal(reason="unknown_camera", text=f"nobody registered a camera {camera}")
-            raise self._refuse(camera, "", refusal)
+            raise self._record_refusal(camera, "", refusal)
         # What the request says of itself is not believed: the id would be a stranger's.
         refusal = Refusal(reason="forged_token", text="the token is not one of the camera's, or has expired")
-        raise self._refuse(camera, "", refusal)
+        raise self._record_refusal(camera, "", refusal)
 
-    def _has(self, camera: str, own: str, now: datetime) -> bool:
+    def _has_valid_token(self, camera: str, own: str, now: datetime) -> bool:
         """Return whether a digest is that of a camera's token that has not ended; read every 10 s, for all at once."""
         if self._read_at is None or not timedelta(0) <= now - self._read_at < _TOKENS_EVERY:
             self._tokens, self._read_at = self.archive.feeds.all_tokens(), now
@@ -184,7 +186,7 @@ class FeedReceiver:
         self.require_token(camera, token)
         found = self.archive.feeds.digests(camera, installation, since=since, until=until)
         if found is None:
-            raise _error(Refusal(reason="second_installation", text=f"{installation} does not send as {camera}"))
+            raise _make_error(Refusal(reason="second_installation", text=f"{installation} does not send as {camera}"))
         return found
 
     def note_too_large(self, camera: str) -> None:
@@ -193,9 +195,9 @@ class FeedReceiver:
             refusal = Refusal(reason="body_too_large", text="a body was too large; the imager sends it in parts")
             self.archive.feeds.refuse(camera=camera, installation="", refusal=refusal, now=self.now())
 
-    def _refuse(self, camera: str, installation: str, refusal: Refusal) -> RefusedError:
+    def _record_refusal(self, camera: str, installation: str, refusal: Refusal) -> RefusedError:
         self.archive.feeds.refuse(camera=camera, installation=installation, refusal=refusal, now=self.now())
-        return _error(refusal)
+        return _make_error(refusal)
 
 
 def token_digest(token: str) -> str:
@@ -311,9 +313,9 @@ class FeedSizes(HttpMiddleware):
 
         await self.app(scope, receive, sending)
         if statuses == [HTTPStatus.REQUEST_ENTITY_TOO_LARGE]:
-            await run_in_threadpool(self._note, found.group(1))
+            await run_in_threadpool(self._note_too_large, found.group(1))
 
-    def _note(self, camera: str) -> None:
+    def _note_too_large(self, camera: str) -> None:
         try:
             self.receiver.note_too_large(camera)
         except OutsideError:
@@ -324,7 +326,7 @@ class _TooLargeError(Exception):
     pass
 
 
-def _decompressed(body: bytes, most: int) -> bytes | None:
+def _decompress_body(body: bytes, most: int) -> bytes | None:
     """Return a gzip body's content; None where it has more bytes than `most`: a small one can hold gigabytes."""
     unpacking = zlib.decompressobj(wbits=31)
     try:
@@ -338,7 +340,7 @@ def _decompressed(body: bytes, most: int) -> bytes | None:
     return content
 
 
-def _bounded(content: bytes | None) -> bytes:
+def _require_memory(content: bytes | None) -> bytes:
     """Return a content that needs no more memory than is there for it."""
     if content is None:
         raise _TooLargeError(f"the body is larger than {MOST_BYTES} bytes when decompressed")
@@ -351,6 +353,6 @@ def _bounded(content: bytes | None) -> bytes:
     return content
 
 
-def _error(refusal: Refusal) -> RefusedError:
+def _make_error(refusal: Refusal) -> RefusedError:
     fault = Fault(field=refusal.reason, problem=refusal.text, remedy=_REMEDIES.get(refusal.reason, "correct it"))
     return RefusedError(_STATUS.get(refusal.reason, HTTPStatus.UNPROCESSABLE_ENTITY), fault)

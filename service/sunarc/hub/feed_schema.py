@@ -118,7 +118,7 @@ class _Rule(NamedTuple):
     fits: Callable[[Any], bool]
 
 
-def _within(least: int, most: int) -> _Rule:
+def _integer_rule(least: int, most: int) -> _Rule:
     schema = {"type": "integer", "minimum": least, "maximum": most}
     return _Rule(schema, lambda value: type(value) is int and least <= value <= most)
 
@@ -151,39 +151,39 @@ def _is_date(value: object) -> bool:
     return type(value) is str and _IS_DATE.fullmatch(value) is not None
 
 
-_INT32, _INT64 = _within(-(2**31), 2**31 - 1), _within(-(2**63), 2**63 - 1)
+_INT32, _INT64 = _integer_rule(-(2**31), 2**31 - 1), _integer_rule(-(2**63), 2**63 - 1)
 _NUMBER = _Rule({"type": "number", "minimum": -_LARGEST, "maximum": _LARGEST}, _is_number)
 _TEXT = _Rule({"type": "string", "pattern": "^[^\\u0000]*$"}, _is_text)
 _FLAG = _Rule({"type": "boolean"}, lambda value: type(value) is bool)
-_TIME = _within(0, LATEST_US - 1)
+_TIME = _integer_rule(0, LATEST_US - 1)
 _DAY = _Rule({"type": "string", "format": "date", "pattern": _DATE}, _is_date)
 _LIST = _Rule({"type": "array"}, lambda value: type(value) is list and _is_text_throughout(value))
 _OBJECT = _Rule({"type": "object"}, lambda value: type(value) is dict and _is_text_throughout(value))
 
 
-def _words(words: tuple[str, ...]) -> _Rule:
+def _word_rule(words: tuple[str, ...]) -> _Rule:
     return _Rule({"enum": [*words]}, lambda value: type(value) is str and value in words)
 
 
-def _numbers(length: int) -> _Rule:
+def _number_list_rule(length: int) -> _Rule:
     schema = {"type": "array", "items": _NUMBER.schema, "minItems": length, "maxItems": length}
     return _Rule(
         schema, lambda value: type(value) is list and len(value) == length and all(_is_number(one) for one in value)
     )
 
 
-def _rule(column: Column[Any]) -> _Rule:  # noqa: PLR0911 - a column has one of many types
+def _column_rule(column: Column[Any]) -> _Rule:  # noqa: PLR0911 - a column has one of many types
     match column.type:
         case tables.UtcTime():
             return _TIME
         case tables.CalendarDate():
             return _DAY
         case tables.Word(words=words):
-            return _words(words)
+            return _word_rule(words)
         case tables.FindingTuple():
             return _LIST
         case tables.NumberTuple(length=length):
-            return _numbers(length)
+            return _number_list_rule(length)
         case tables.JsonOf():
             schema = {name: part for name, part in column.type.schema().items() if name != "$defs"}
             return _Rule(schema, (_LIST if schema.get("type") == "array" else _OBJECT).fits)
@@ -196,7 +196,7 @@ def _rule(column: Column[Any]) -> _Rule:  # noqa: PLR0911 - a column has one of 
 
 _STATUS: Mapping[str, tuple[_Rule, str]] = {
     "version": (_TEXT, "Version of the sender's software."),
-    "health": (_words(("ready", "degraded", "not_ready")), "How it is."),
+    "health": (_word_rule(("ready", "degraded", "not_ready")), "How it is."),
     "state": (_TEXT, "The same in one of five words: not_serving, attention, starting, ready_with_note, ready."),
     "state_text": (_TEXT, "What decides the state, in a sentence."),
     "conditions": (_LIST, "Codes of what is wrong (codes.md), a list of words."),
@@ -222,14 +222,14 @@ class _Check(NamedTuple):
 
 
 @cache
-def _checks(kind: str, only_key: bool) -> tuple[_Check, ...]:  # noqa: FBT001
+def _make_checks(kind: str, only_key: bool) -> tuple[_Check, ...]:  # noqa: FBT001
     """Return the checks of each column."""
     if kind == STATUS:
         return tuple(_Check(name, False, True, rule.fits, _rule_name(rule)) for name, (rule, _) in _STATUS.items())
     columns = sent_columns(kind)
     made = []
     for name in FED[kind][1] if only_key else columns:
-        column, rule = columns[name], _rule(columns[name])
+        column, rule = columns[name], _column_rule(columns[name])
         # an event without a camera concerns all that an imager has: at the hub it is the camera's
         required = (
             (only_key and (kind, name) not in SINCE) or column.server_default is None or (kind, name) in _SENT_ALWAYS
@@ -295,7 +295,7 @@ def find_problem(kind: str, data: Mapping[str, Any], *, only_key: bool = False) 
             return f"the status is larger than {MOST_ROW_BYTES[STATUS]} bytes"
         if not _is_text_throughout(data):
             return "a text has half of a surrogate pair"
-    checks = _checks(kind, only_key)
+    checks = _make_checks(kind, only_key)
     unknown = set() if kind == STATUS else data.keys() - {one.name for one in checks}
     if unknown:
         return f"column {min(unknown)} is unknown"
@@ -317,7 +317,7 @@ def typed(kind: str, data: Mapping[str, Any]) -> dict[str, Any]:
     ValueError, OverflowError : a date or a time that there is not.
     """
     found = dict(data)
-    for name, key, convert in _conversions(kind):
+    for name, key, convert in _list_conversions(kind):
         if name in found:
             value = found.pop(name)
             found[key] = None if value is None else convert(value)
@@ -325,13 +325,13 @@ def typed(kind: str, data: Mapping[str, Any]) -> dict[str, Any]:
 
 
 @cache
-def _conversions(kind: str) -> tuple[tuple[str, str, Callable[[Any], Any]], ...]:
+def _list_conversions(kind: str) -> tuple[tuple[str, str, Callable[[Any], Any]], ...]:
     """Return the columns whose values JSON does not have: name, key and conversion."""
-    found = ((name, column, _conversion(column)) for name, column in sent_columns(kind).items())
+    found = ((name, column, _find_conversion(column)) for name, column in sent_columns(kind).items())
     return tuple((name, column.key, convert) for name, column, convert in found if convert is not None)
 
 
-def _conversion(column: Column[Any]) -> Callable[[Any], Any] | None:
+def _find_conversion(column: Column[Any]) -> Callable[[Any], Any] | None:
     if isinstance(column.type, tables.JsonOf):
         return column.type.read
     if isinstance(plain_type(column), Float):
@@ -360,12 +360,13 @@ def feed_schema(revision: str) -> dict[str, Any]:
     for kind in FED:
         for column in sent_columns(kind).values():
             parts |= column.type.schema().get("$defs", {}) if isinstance(column.type, tables.JsonOf) else {}
-        kinds[kind] = _object(kind, only_key=False)
-        kinds[kind + REMOVED] = _object(kind, only_key=True)
+        kinds[kind] = _make_object_schema(kind, only_key=False)
+        kinds[kind + REMOVED] = _make_object_schema(kind, only_key=True)
     kinds[STATUS] = {
         "type": "object",
         "properties": {
-            name: _or_null(rule.schema, nullable=True) | {"description": text} for name, (rule, text) in _STATUS.items()
+            name: _allow_null(rule.schema, nullable=True) | {"description": text}
+            for name, (rule, text) in _STATUS.items()
         },
     }
     return {
@@ -386,14 +387,14 @@ def feed_schema(revision: str) -> dict[str, Any]:
     }
 
 
-def _object(kind: str, *, only_key: bool) -> dict[str, Any]:
-    columns, checks = sent_columns(kind), _checks(kind, only_key)
+def _make_object_schema(kind: str, *, only_key: bool) -> dict[str, Any]:
+    columns, checks = sent_columns(kind), _make_checks(kind, only_key)
     texts = descriptions(_VALUES[kind]) if kind in _VALUES else {}
     properties = {}
     for check in checks:
         column = columns[check.name]
         meaning = _MEANINGS.get(f"{kind}.{check.name}") or _MEANINGS.get(check.name) or texts.get(column.key)
-        schema = _or_null(_rule(column).schema, nullable=check.nullable)
+        schema = _allow_null(_column_rule(column).schema, nullable=check.nullable)
         properties[str(check.name)] = schema | ({"description": meaning} if meaning else {})
     return {
         "type": "object",
@@ -403,7 +404,7 @@ def _object(kind: str, *, only_key: bool) -> dict[str, Any]:
     }
 
 
-def _or_null(schema: Mapping[str, Any], *, nullable: bool) -> dict[str, Any]:
+def _allow_null(schema: Mapping[str, Any], *, nullable: bool) -> dict[str, Any]:
     if not nullable:
         return dict(schema)
     if "type" in schema:

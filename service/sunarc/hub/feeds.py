@@ -146,12 +146,12 @@ class FeedStore(Part):
         dated = [time for time in map(_sighting_time, batch.rows) if time is not None]
         self._database.prepare_months([time for time in dated if time <= now + FUTURE])
         try:
-            taken = self._take(batch, now, one_by_one=False)
+            taken = self._store_batch(batch, now, one_by_one=False)
         except _RowError:
-            taken = self._take(batch, now, one_by_one=True)
+            taken = self._store_batch(batch, now, one_by_one=True)
         return taken
 
-    def _take(self, batch: FeedBatch, now: datetime, *, one_by_one: bool) -> int | Refusal:
+    def _store_batch(self, batch: FeedBatch, now: datetime, *, one_by_one: bool) -> int | Refusal:
         """Store a batch whose rows the database takes, in few round trips; else row by row, to leave some out.
 
         Raises
@@ -159,18 +159,18 @@ class FeedStore(Part):
         _RowError : the database refuses a row; nothing is stored, and it is to be done again `one_by_one`.
         """
         with self._database.writing(camera=batch.camera) as connection:
-            if not _moved_on(connection, batch, now):
-                position = _position(connection, batch, now)
+            if not _advance_committed(connection, batch, now):
+                position = _get_committed(connection, batch, now)
                 if isinstance(position, int) and batch.after > position:
                     text = f"rows after {batch.after} came, rows after {position} were expected; all are sent again"
-                    self._fail(connection, batch, Refusal(reason="gap", text=text), now)
+                    self._record_failure(connection, batch, Refusal(reason="gap", text=text), now)
                 if isinstance(position, Refusal):
-                    self._fail(connection, batch, position, now)
-                if batch.after != position or not _moved_on(connection, batch, now):
+                    self._record_failure(connection, batch, position, now)
+                if batch.after != position or not _advance_committed(connection, batch, now):
                     return position
             storing = _Storing(connection, batch, self._own, one_by_one=one_by_one)
             n_stored = storing.store(now)
-            _set_apart(connection, batch, storing.apart, now=now)
+            _write_quarantine(connection, batch, storing.apart, now=now)
             _note_in_fleet(connection, batch, now)
         if n_stored:
             self._failing.pop(batch.camera, None)
@@ -178,9 +178,9 @@ class FeedStore(Part):
             self._failing[batch.camera] = self.n_failing(batch.camera) + 1
         return batch.rows[-1].seq if batch.rows else batch.after
 
-    def _fail(self, connection: Connection, batch: FeedBatch, refusal: Refusal, now: datetime) -> None:
+    def _record_failure(self, connection: Connection, batch: FeedBatch, refusal: Refusal, now: datetime) -> None:
         self._failing[batch.camera] = self.n_failing(batch.camera) + 1
-        _set_apart(connection, batch, [(None, refusal)], now=now)
+        _write_quarantine(connection, batch, [(None, refusal)], now=now)
 
     def n_failing(self, camera: str) -> int:
         """Return how many batches of a camera came in succession of which no row could be stored."""
@@ -200,16 +200,16 @@ class FeedStore(Part):
         batch = FeedBatch(camera=camera, installation=installation, after=0, rows=())
         with self._database.writing(camera=camera) as connection:
             if refusal.reason == "unknown_camera":
-                batch = replace(batch, camera=_bounded(connection, camera), installation="")
+                batch = replace(batch, camera=_bound_camera_name(connection, camera), installation="")
             if refusal.reason in {"unknown_camera", "forged_token", "body_too_large"}:
-                _set_apart(connection, batch, [(None, refusal)], now=now)
+                _write_quarantine(connection, batch, [(None, refusal)], now=now)
             else:
-                self._fail(connection, batch, refusal, now)
+                self._record_failure(connection, batch, refusal, now)
 
     def expire(self, *, now: datetime) -> int:
         """Remove from quarantine rows that did not come again for 90 days, and closed gaps; return how many."""
         with self._database.writing() as connection:
-            old = or_(quarantine.c.last_at < now - KEPT, ~_standing())
+            old = or_(quarantine.c.last_at < now - KEPT, ~_open_condition())
             return connection.execute(delete(quarantine).where(old)).rowcount
 
     def require_storing(self) -> None:
@@ -236,7 +236,7 @@ class FeedStore(Part):
     def quarantine(self, camera: str | None = None, *, limit: int | None = None) -> tuple[Quarantined, ...]:
         """Return the rows that were refused or set apart, the newest first."""
         c = quarantine.c
-        statement = select(quarantine).where(_standing(), *given((c.camera.__eq__, camera)))
+        statement = select(quarantine).where(_open_condition(), *given((c.camera.__eq__, camera)))
         return self._database.values(statement.order_by(c.last_at.desc(), c.camera, c.seq).limit(limit), Quarantined)
 
     def hubs(self) -> tuple[HubRun, ...]:
@@ -258,7 +258,7 @@ class FeedStore(Part):
 
     def fleet(self) -> tuple[FleetCamera, ...]:
         """Return every camera that was registered or fed, with how many things of it are in quarantine."""
-        counted = select(quarantine.c.camera, func.count().label("n")).where(_standing())
+        counted = select(quarantine.c.camera, func.count().label("n")).where(_open_condition())
         apart = counted.group_by(quarantine.c.camera).subquery()
         known = select(feed_token.c.camera).union(select(fleet.c.camera)).subquery()
         f = fleet.c
@@ -274,7 +274,7 @@ class FeedStore(Part):
         )
         with self._database.reading() as connection:
             rows = connection.execute(statement).mappings().all()
-        return tuple(FleetCamera(**{**row, "status": _shown(row["status"])}) for row in rows)
+        return tuple(FleetCamera(**{**row, "status": _valid_status(row["status"])}) for row in rows)
 
     def add_token(self, camera: str, digest: str, *, now: datetime, former_until: datetime) -> None:
         """Register a camera by the digest of its token; tokens that it has end at `former_until`.
@@ -342,14 +342,14 @@ class FeedStore(Part):
             raise NotFoundError(field="camera", problem=f"camera {camera} sent nothing yet", remedy="see /v1/fleet")
 
 
-def _bounded(connection: Connection, name: str) -> str:
+def _bound_camera_name(connection: Connection, name: str) -> str:
     """Return a name for the rows of a camera that nobody registered."""
     q = quarantine.c
     known = connection.scalars(select(q.camera).where(q.reason == "unknown_camera")).all()
     return name if name in known or len(known) < _MOST_UNKNOWN else _OTHERS
 
 
-def _position(connection: Connection, batch: FeedBatch, now: datetime) -> int | Refusal:
+def _get_committed(connection: Connection, batch: FeedBatch, now: datetime) -> int | Refusal:
     """Return up to which number the hub has an installation's rows; a camera's first installation is taken."""
     rows = {row.installation: row for row in connection.execute(select(feed).where(feed.c.camera == batch.camera))}
     found = rows.get(batch.installation)
@@ -366,7 +366,7 @@ def _position(connection: Connection, batch: FeedBatch, now: datetime) -> int | 
     return int(found.committed)
 
 
-def _moved_on(connection: Connection, batch: FeedBatch, now: datetime) -> bool:
+def _advance_committed(connection: Connection, batch: FeedBatch, now: datetime) -> bool:
     """Move the number of an installation that is accepted from where the batch begins to where it ends."""
     committed = batch.rows[-1].seq if batch.rows else batch.after
     values = {
@@ -388,7 +388,7 @@ _MOVE_ON = update(feed).where(
 """Made once: a small PUT is few statements."""
 
 
-def _standing() -> ColumnElement[bool]:
+def _open_condition() -> ColumnElement[bool]:
     """Return the condition that something in quarantine is no gap that was closed since: rows followed it."""
     q = quarantine.c
     after = (feed.c.camera == q.camera, feed.c.installation == q.installation, feed.c.last_at > q.last_at)
@@ -401,7 +401,7 @@ def _sighting_time(row: FeedRow) -> datetime | None:
     return from_microseconds(time) if type(time) is int and 0 <= time < LATEST_US else None
 
 
-def _shown(status: object) -> dict[str, Any] | None:
+def _valid_status(status: object) -> dict[str, Any] | None:
     """Return a stored status; None of one that would not be stored today: it would take every camera off the page."""
     if not isinstance(status, dict) or is_deep(status) or find_problem(STATUS, status) is not None:
         return None
@@ -437,16 +437,16 @@ class _Storing:
         for kind, group in groupby(self.batch.rows, key=lambda row: row.kind):
             sound = []
             for row in group:
-                taken, refusal = self._judged(row, now)
+                taken, refusal = self._judge_row(row, now)
                 if refusal is None:
                     sound.append(taken)
                 else:
                     self.apart.append((row, refusal))
             if kind != STATUS and sound:
-                n_stored += self._store(kind, self._referring(kind, sound))
+                n_stored += self._store_kind(kind, self._select_valid_references(kind, sound))
         return n_stored
 
-    def _judged(self, row: FeedRow, now: datetime) -> tuple[FeedRow, Refusal | None]:
+    def _judge_row(self, row: FeedRow, now: datetime) -> tuple[FeedRow, Refusal | None]:
         """Return a row as it is stored, and why it is not.
 
         A document that was damaged on the imager is that of the hub, of the same id and checksum: the other columns are
@@ -463,10 +463,13 @@ class _Storing:
         row = replace(row, data=whole)
         return row, refuse_row(self.batch.camera, row, now)
 
-    def _referring(self, kind: str, rows: list[FeedRow]) -> list[FeedRow]:
+    def _select_valid_references(self, kind: str, rows: list[FeedRow]) -> list[FeedRow]:
         """Return the rows that refer to rows of the same camera; set the others apart."""
         for column, table in _REFERENCES.get(kind, {}).items():
-            known: set[object] = {None, *self._own_ids(table, {(row.data or {}).get(column) for row in rows} - {None})}
+            known: set[object] = {
+                None,
+                *self._read_own_ids(table, {(row.data or {}).get(column) for row in rows} - {None}),
+            }
             left = []
             for row in rows:
                 data = row.data or {}
@@ -479,7 +482,7 @@ class _Storing:
             rows = left
         return rows
 
-    def _own_ids(self, table: Table, named: set[Any]) -> set[object]:
+    def _read_own_ids(self, table: Table, named: set[Any]) -> set[object]:
         camera = self.batch.camera
         unknown = {one for one in named if (table.name, camera, one) not in self.own}
         if unknown:
@@ -487,18 +490,18 @@ class _Storing:
             self.own |= {(table.name, camera, one) for one in self.connection.scalars(mine)}
         return {one for one in named if (table.name, camera, one) in self.own}
 
-    def _store(self, kind: str, rows: Sequence[FeedRow]) -> int:
+    def _store_kind(self, kind: str, rows: Sequence[FeedRow]) -> int:
         """Store rows of one kind, one half after the other where the database refuses one; return how many."""
-        refusal = self._refused_by_database(kind, rows) if rows else None
+        refusal = self._try_to_store(kind, rows) if rows else None
         if refusal is None:
             return len(rows)
         if len(rows) == 1 or _NOT_ALLOWED in refusal.text:
             self.apart += [(row, refusal) for row in rows]
             return 0
         middle = len(rows) // 2
-        return self._store(kind, rows[:middle]) + self._store(kind, rows[middle:])
+        return self._store_kind(kind, rows[:middle]) + self._store_kind(kind, rows[middle:])
 
-    def _refused_by_database(self, kind: str, rows: Sequence[FeedRow]) -> Refusal | None:
+    def _try_to_store(self, kind: str, rows: Sequence[FeedRow]) -> Refusal | None:
         """Store rows or none of them, and return why not; an error that is of no row (server, disk) is raised."""
         try:
             with self.connection.begin_nested() if self.one_by_one else nullcontext():
@@ -515,14 +518,14 @@ class _Storing:
         return None
 
 
-def _another_cameras(what: str) -> IntegrityError:
+def _another_camera_error(what: str) -> IntegrityError:
     return IntegrityError(None, None, ValueError(f"{what} is another camera's"))
 
 
 def _apply_rows(connection: Connection, camera_name: str, kind: str, rows: Sequence[FeedRow]) -> None:
     """Insert, update or remove a camera's rows of one kind, as its feed states."""
     if kind.endswith(REMOVED):
-        _remove(connection, camera_name, kind.removesuffix(REMOVED), rows)
+        _remove_rows(connection, camera_name, kind.removesuffix(REMOVED), rows)
         return
     table, key = FED[kind]
     if kind == "sun_point" and connection.dialect.name == "postgresql":
@@ -535,15 +538,15 @@ def _apply_rows(connection: Connection, camera_name: str, kind: str, rows: Seque
     elif kind in _OF_ONE_CAMERA:
         for values in values_of_rows:
             if kind == "calibration" and values["state"] == "current":
-                _make_room(connection, values)
+                _retire_current(connection, values)
             if not upsert(connection, table, values, key=key, of="camera"):
-                raise _another_cameras(f"{kind} {values['id']}")
+                raise _another_camera_error(f"{kind} {values['id']}")
     else:
         for _, alike in groupby(values_of_rows, key=lambda values: values.keys()):
             upsert_all(connection, table, list(alike), key=key)
 
 
-def _remove(connection: Connection, camera_name: str, kind: str, rows: Sequence[FeedRow]) -> None:
+def _remove_rows(connection: Connection, camera_name: str, kind: str, rows: Sequence[FeedRow]) -> None:
     """Remove rows of a camera; one that is not there is nothing to do."""
     table, key = FED[kind]
     owner = table.c["name" if kind == "camera" else "camera"]
@@ -553,12 +556,12 @@ def _remove(connection: Connection, camera_name: str, kind: str, rows: Sequence[
         this = [table.c[name] == values[name] for name in key]
         found = connection.scalar(select(owner).where(*this).limit(1))
         if found not in {None, camera_name}:
-            raise _another_cameras(f"{kind} {values['id']}")
+            raise _another_camera_error(f"{kind} {values['id']}")
         if found is not None:
             connection.execute(delete(table).where(*this, owner == camera_name))
 
 
-def _make_room(connection: Connection, values: Mapping[str, Any]) -> None:
+def _retire_current(connection: Connection, values: Mapping[str, Any]) -> None:
     """Retire the current calibration: rows that are sent again come in another order than that of the changes."""
     c = calibration.c
     others = (c.camera == values["camera"], c.id != values["id"], c.state == "current")
@@ -579,7 +582,7 @@ def _write_events(connection: Connection, camera_name: str, rows: Sequence[dict[
                 upsert(connection, night, night_columns(found), key=["camera", "date"])
 
 
-def _set_apart(
+def _write_quarantine(
     connection: Connection, batch: FeedBatch, apart: Sequence[tuple[FeedRow | None, Refusal]], *, now: datetime
 ) -> None:
     """Write into quarantine, once a row, and once an installation for a batch refused as a whole (no row); count.
@@ -603,8 +606,8 @@ def _set_apart(
         data = "" if row is None else json_text(row.data)
         written[key] = {
             **dict(zip(columns, (batch.camera, *key), strict=True)),
-            "kind": "" if row is None else _plain(row.kind),
-            "text": _plain(refusal.text),
+            "kind": "" if row is None else _storable_text(row.kind),
+            "text": _storable_text(refusal.text),
             "data": data if len(data) <= _LONGEST_DATA else "",
             "n": written[key]["n"] + 1 if key in written else 1,
             "first_at": now,
@@ -615,7 +618,7 @@ def _set_apart(
     )
 
 
-def _plain(text: str) -> str:
+def _storable_text(text: str) -> str:
     """Return a text as both engines store it: without NUL and halves of characters."""
     return text[:_LONGEST_TEXT].replace("\0", "?").encode("utf-8", "replace").decode()
 

@@ -279,7 +279,7 @@ def pair_routes(context: ApiContext) -> APIRouter:
         if a == b:
             raise InputError(field="b", problem="is the same camera", remedy="name two cameras")
         (first, calibration_a), (second, calibration_b) = (
-            _view(context.named(name), asked.time, pixel, field)
+            _make_pair_view(context.named(name), asked.time, pixel, field)
             for name, pixel, field in ((a, asked.pixel_a, "pixel_a"), (b, asked.pixel_b, "pixel_b"))
         )
         found = pair_height(first, second)
@@ -305,7 +305,7 @@ def pair_routes(context: ApiContext) -> APIRouter:
     return routes
 
 
-def _view(context: ApiContext, time: datetime, pixel: list[float], field: str) -> tuple[PairView, str]:
+def _make_pair_view(context: ApiContext, time: datetime, pixel: list[float], field: str) -> tuple[PairView, str]:
     """Return how a camera sees a pixel at a time, and the id of the calibration that says so."""
     record = context.record(time)
     ready = context.ready.get(record)

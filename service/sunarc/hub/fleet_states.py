@@ -80,11 +80,11 @@ def members(cameras: tuple[FleetCamera, ...], now: datetime, crossed: CrossCheck
     found = []
     for camera in cameras:
         check = checks.get(camera.camera)
-        of_state = [*_reasons(camera, now), *(_shown(check) if check is not None else ())]
+        of_state = [*_list_reasons(camera, now), *(_list_cross_check_causes(check) if check is not None else ())]
         order = sorted(of_state, key=lambda one: get_args(State).index(one[0]))
         state: State = order[0][0] if order else "ready"
         values = {name: getattr(camera, name) for name in names}
-        service_state, text = _service_state(camera, order)
+        service_state, text = _choose_service_state(camera, order)
         why = tuple(reason for _, reason in order)
         found.append(FleetMember(**values, state=state, service_state=service_state, state_text=text, why=why))
     of_fleet, of_service = get_args(State).index, get_args(ServiceState).index
@@ -99,7 +99,7 @@ def members(cameras: tuple[FleetCamera, ...], now: datetime, crossed: CrossCheck
     )
 
 
-def _service_state(camera: FleetCamera, found: list[tuple[State, FleetReason]]) -> tuple[ServiceState, str]:
+def _choose_service_state(camera: FleetCamera, found: list[tuple[State, FleetReason]]) -> tuple[ServiceState, str]:
     """Return the state of a camera, as its imager reports it or by its conditions, with the hub's own findings."""
     status: Mapping[str, Any] = camera.status or {}
     own, listed = status.get("state"), status.get("conditions")
@@ -126,26 +126,26 @@ def status_number(camera: FleetCamera, name: str) -> float | None:
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
 
 
-def _reasons(camera: FleetCamera, now: datetime) -> Iterator[tuple[State, FleetReason]]:
+def _list_reasons(camera: FleetCamera, now: datetime) -> Iterator[tuple[State, FleetReason]]:
     """Yield every reason why a camera is not ready, with the state that it makes."""
     received_at = camera.received_at
     if received_at is None:
         yield "silent", FleetReason(code="silent", text="has never sent anything")
     elif now - received_at > SILENT:
-        yield "silent", FleetReason(code="silent", text=f"nothing for {_span(now - received_at)}")
+        yield "silent", FleetReason(code="silent", text=f"nothing for {_format_span(now - received_at)}")
     if camera.status is None and camera.status_at is not None:
         text = "its last report of itself cannot be shown: too large, too deep, or no text"
         yield "degraded", FleetReason(code="status_unreadable", text=text)
-    yield from _reported(camera)
+    yield from _list_reported(camera)
     if received_at is not None:
-        yield from _found(camera, now)
+        yield from _list_found(camera, now)
     if camera.n_quarantined:
         yield "quarantine", FleetReason(code="quarantine", text=f"{camera.n_quarantined} in quarantine")
     if received_at is not None and camera.calibration is None:
         yield "uncalibrated", FleetReason(code="uncalibrated", text="no calibration")
 
 
-def _reported(camera: FleetCamera) -> Iterator[tuple[State, FleetReason]]:
+def _list_reported(camera: FleetCamera) -> Iterator[tuple[State, FleetReason]]:
     """Yield the reasons that an imager reports of itself."""
     status: Any = camera.status or {}
     health, listed = status.get("health"), status.get("conditions")
@@ -155,7 +155,7 @@ def _reported(camera: FleetCamera) -> Iterator[tuple[State, FleetReason]]:
             yield health, FleetReason(code=code, text=code.replace("_", " "))
 
 
-def _found(camera: FleetCamera, now: datetime) -> Iterator[tuple[State, FleetReason]]:
+def _list_found(camera: FleetCamera, now: datetime) -> Iterator[tuple[State, FleetReason]]:
     """Yield the reasons that the hub finds in a camera's rows."""
     drift, free = status_number(camera, "drift_deg"), status_number(camera, "disk_free_bytes")
     sigma = camera.sky_rms_deg
@@ -171,7 +171,7 @@ def _found(camera: FleetCamera, now: datetime) -> Iterator[tuple[State, FleetRea
     if camera.latitude is None or camera.longitude is None or is_new:
         return
     hour = math.floor(now.timestamp() / _HOUR_S)
-    since = _day_with_sun(camera.latitude, camera.longitude, hour)
+    since = _last_day_with_sun(camera.latitude, camera.longitude, hour)
     newest = camera.last_sighting_at
     if since is not None and (newest is None or _solar_date(newest, camera.longitude) < since):
         seen = "none" if newest is None else f"{newest:%Y-%m-%d}"
@@ -179,7 +179,7 @@ def _found(camera: FleetCamera, now: datetime) -> Iterator[tuple[State, FleetRea
         yield "degraded", FleetReason(code="no_sighting", text=text)
 
 
-def _shown(check: CrossCheck) -> Iterator[tuple[State, FleetReason]]:
+def _list_cross_check_causes(check: CrossCheck) -> Iterator[tuple[State, FleetReason]]:
     """Yield the causes that neighbours show of a camera, with size and probability."""
     for cause in check.alarms:
         if cause == "clock_by_clouds":
@@ -207,7 +207,7 @@ def _solar_date(time: datetime, longitude: float) -> date:
 
 
 @lru_cache(maxsize=8192)
-def _day_with_sun(latitude: float, longitude: float, hour: int) -> date | None:
+def _last_day_with_sun(latitude: float, longitude: float, hour: int) -> date | None:
     """Return the last solar date on which the sun was 10° up, until 2 h before an hour; None in a polar night.
 
     Parameters
@@ -226,7 +226,7 @@ def _day_with_sun(latitude: float, longitude: float, hour: int) -> date | None:
     return None
 
 
-def _span(span: timedelta) -> str:
+def _format_span(span: timedelta) -> str:
     hours = span.total_seconds() / 3600.0
     if hours < 2.0:
         return f"{60.0 * hours:.0f} min"

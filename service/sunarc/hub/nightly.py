@@ -53,13 +53,13 @@ def cross_check_fleet(archive: HubArchive, *, now: datetime) -> tuple[CrossCheck
     archive : the fleet's.
     now : the last 60 days before it are compared.
     """
-    reading = _Reading(archive, now)
+    reading = _CachedReader(archive, now)
     cameras = archive.cameras.all()
-    groups = {one.name: (one, *_neighbours(one, cameras)) for one in cameras}
-    return tuple(_check(reading, group) for group in groups.values() if len(group) > 1)
+    groups = {one.name: (one, *_find_neighbours(one, cameras)) for one in cameras}
+    return tuple(_check_camera(reading, group) for group in groups.values() if len(group) > 1)
 
 
-def _neighbours(camera: CameraRecord, cameras: Sequence[CameraRecord]) -> list[CameraRecord]:
+def _find_neighbours(camera: CameraRecord, cameras: Sequence[CameraRecord]) -> list[CameraRecord]:
     """Return the nearest cameras that are near enough."""
     others = [one for one in cameras if one.name != camera.name]
     away = {one.name: float(np.linalg.norm(_east_north_m(camera, one))) for one in others}
@@ -75,7 +75,7 @@ def _east_north_m(origin: CameraRecord, camera: CameraRecord) -> FloatArray:
 
 
 @dataclass(eq=False)
-class _Reading:
+class _CachedReader:
     """Reads a camera's days, once each.
 
     Parameters
@@ -89,9 +89,9 @@ class _Reading:
 
     def __post_init__(self) -> None:
         """Read nothing twice."""
-        self.rotations = cache(self._rotations)
-        self.series = cache(self._series)
-        self.lags = cache(self._lags)
+        self.rotations = cache(self._read_rotations)
+        self.series = cache(self._read_sun_series)
+        self.lags = cache(self._compute_lags)
 
     def stated_sites(self, camera: CameraRecord, unix_s: FloatArray) -> list[Site]:
         """Return the site as it was stated at each time: by the calibrations until the newest, then by the camera."""
@@ -100,7 +100,7 @@ class _Reading:
         since = [record.created_at.timestamp() for record in (*made[1:], *made[-1:])]
         return [sites[index] for index in np.searchsorted(since, unix_s, side="right").tolist()]
 
-    def _rotations(self, camera: CameraRecord) -> DailyRotations:
+    def _read_rotations(self, camera: CameraRecord) -> DailyRotations:
         """Return how a camera stood turned on each day of its pose epoch against its current calibration."""
         model = self.archive.calibrations.current_model(camera.name)
         epochs = self.archive.epochs.find(camera.name)  # a turn that the imager found itself is nobody else's to find
@@ -120,7 +120,7 @@ class _Reading:
         observed = expected * np.nan if model is None else unproject(model.camera, columns.pixels)
         return daily_rotations(day.astype(np.float64), observed=observed, expected=expected)
 
-    def _series(self, camera: CameraRecord) -> tuple[IntArray, SunSeries]:
+    def _read_sun_series(self, camera: CameraRecord) -> tuple[IntArray, SunSeries]:
         """Return when a camera looked for the sun, and whether a cycle showed it, with the days."""
         since = self.now - timedelta(days=_CLOUD_DAYS)
         times = self.archive.sightings.exposure_times(camera.name, since=since, until=self.now)
@@ -132,18 +132,18 @@ class _Reading:
         series = SunSeries(unix_s=cycle_s, seen=np.logical_or.reduceat(seen, begins) if len(begins) else seen)
         return solar_days(cycle_s, longitude=camera.longitude), series
 
-    def _lags(self, first: CameraRecord, second: CameraRecord) -> tuple[tuple[int, float, float], ...]:
+    def _compute_lags(self, first: CameraRecord, second: CameraRecord) -> tuple[tuple[int, float, float], ...]:
         """Return the day, lag and 1-sigma of each day on which clouds passed both."""
         (days_a, a), (days_b, b) = self.series(first), self.series(second)
         found = []
         for day in np.intersect1d(days_a, days_b).tolist():
-            lag = cloud_lag(*(_on_day(one, days == day) for one, days in ((a, days_a), (b, days_b))))
+            lag = cloud_lag(*(_select_day(one, days == day) for one, days in ((a, days_a), (b, days_b))))
             if lag is not None:
                 found.append((day, *lag))
         return tuple(found)
 
 
-def _on_day(series: SunSeries, of_day: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> SunSeries:
+def _select_day(series: SunSeries, of_day: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> SunSeries:
     return SunSeries(unix_s=series.unix_s[of_day], seen=series.seen[of_day])
 
 
@@ -156,11 +156,11 @@ def _document_site(record: CalibrationRecord, otherwise: Site) -> Site:
         return otherwise
 
 
-def _check(reading: _Reading, group: Sequence[CameraRecord]) -> CrossCheck:
+def _check_camera(reading: _CachedReader, group: Sequence[CameraRecord]) -> CrossCheck:
     """Return the result of the rest of a group about its first camera."""
     rotations = [reading.rotations(one) for one in group]
     step = find_steps(rotations)[0]
-    clocks = _clocks(reading, group)
+    clocks = _estimate_clocks(reading, group)
     found, causes = dict[str, Any](), list[Found]()
     if step is not None:
         found = _step_fields(reading, group[0], step) | {"agreeing": agreeing(rotations, 0, step)}
@@ -170,7 +170,7 @@ def _check(reading: _Reading, group: Sequence[CameraRecord]) -> CrossCheck:
     if math.isfinite(offset):
         found |= {"cloud_clock_s": offset, "cloud_clock_sigma_s": sigma}
         sigmas = np.nan_to_num(np.abs(clocks.offset_s / clocks.sigma_s))
-        if sigmas[0] > _CLOCK_SIGMAS and np.argmax(sigmas) == 0 and _shown_by_clouds(reading, group, offset):
+        if sigmas[0] > _CLOCK_SIGMAS and np.argmax(sigmas) == 0 and _is_confirmed_by_clouds(reading, group, offset):
             causes.append("clock_by_clouds")
     return CrossCheck(
         camera=group[0].name,
@@ -181,7 +181,7 @@ def _check(reading: _Reading, group: Sequence[CameraRecord]) -> CrossCheck:
     )
 
 
-def _shown_by_clouds(reading: _Reading, group: Sequence[CameraRecord], offset_s: float) -> bool:
+def _is_confirmed_by_clouds(reading: _CachedReader, group: Sequence[CameraRecord], offset_s: float) -> bool:
     """Return whether enough others, and more than half of the group, have lags of about the offset."""
     lags = [reading.lags(group[0], one) for one in group[1:]]
     shares = [-float(np.median([lag_s for _, lag_s, _ in of_pair])) / offset_s for of_pair in lags if of_pair]
@@ -189,7 +189,7 @@ def _shown_by_clouds(reading: _Reading, group: Sequence[CameraRecord], offset_s:
     return n_shown >= FEWEST_AGREEING and 2 * n_shown > len(shares) + 1
 
 
-def _clocks(reading: _Reading, group: Sequence[CameraRecord]) -> ClockOffsets:
+def _estimate_clocks(reading: _CachedReader, group: Sequence[CameraRecord]) -> ClockOffsets:
     lags = [
         Lag(day=day, first=a, second=b, lag_s=lag_s, sigma_s=sigma_s)
         for a in range(len(group))
@@ -199,7 +199,7 @@ def _clocks(reading: _Reading, group: Sequence[CameraRecord]) -> ClockOffsets:
     return clock_offsets(lags, east_north_m=np.array([_east_north_m(group[0], one) for one in group]))
 
 
-def _step_fields(reading: _Reading, camera: CameraRecord, step: PoseChange) -> dict[str, Any]:
+def _step_fields(reading: _CachedReader, camera: CameraRecord, step: PoseChange) -> dict[str, Any]:
     """Return the fields of a step or a slow turn by name, with its cause."""
     days = reading.rotations(camera).day
     last = days[max(int(np.searchsorted(days, step.time)) - 1, 0)]
@@ -275,19 +275,19 @@ class NightlyWork:
         if last is not None and last.night == night:
             done = last.finished_at is not None and not last.failed
             if done or timedelta(0) <= now - last.started_at < _TRY_AGAIN:
-                self._show(last)
+                self._show_failures(last)
                 return
         succeeded = {} if last is None or last.night != night else last.results
         run = NightlyRun(night=night, started_at=now, results=_without_errors(succeeded))
         self.archive.nightly.save(run)
         for name, job in self.jobs.items():
             if name not in run.results:
-                run = replace(run, results={**run.results, name: self._result(name, job)})
+                run = replace(run, results={**run.results, name: self._run_job(name, job)})
         run = replace(run, finished_at=self.clock.now())
         self.archive.nightly.save(run)
-        self._show(run)
+        self._show_failures(run)
 
-    def _result(self, name: str, job: Job) -> Mapping[str, Any]:
+    def _run_job(self, name: str, job: Job) -> Mapping[str, Any]:
         try:
             result = job(self.clock.now())
         except Exception as error:  # noqa: BLE001 - one job that fails must not keep the others from their work
@@ -296,7 +296,7 @@ class NightlyWork:
         _log.info("nightly job %s: %s", name, dict(result))
         return result
 
-    def _show(self, run: NightlyRun) -> None:
+    def _show_failures(self, run: NightlyRun) -> None:
         reason = None
         if run.failed:
             jobs, error = ", ".join(run.failed), next(iter(run.failed.values()))

@@ -89,10 +89,10 @@ def checks_from_json(stored: object) -> tuple[CrossCheck, ...] | None:
     rows = stored.get("checks") if isinstance(stored, Mapping) else None
     if not isinstance(rows, list):
         return None
-    return tuple(sorted(_read(rows), key=lambda one: (not one.alarms, not one.found, one.camera)))
+    return tuple(sorted(_parse_checks(rows), key=lambda one: (not one.alarms, not one.found, one.camera)))
 
 
-def _read(rows: Iterable[object]) -> Iterable[CrossCheck]:
+def _parse_checks(rows: Iterable[object]) -> Iterable[CrossCheck]:
     for row in rows:
         try:
             yield _CHECK.validate_python(row)
@@ -171,7 +171,7 @@ class NightlyStore(Part):
             with self._database.writing() as connection:
                 rows = connection.execute(missing).all()
                 for row in rows:
-                    upsert(connection, day_summary, _summary(connection, row), key=["camera", "date"])
+                    upsert(connection, day_summary, _make_summary(connection, row), key=["camera", "date"])
             n += len(rows)
             if len(rows) < _AT_ONCE:
                 return n
@@ -228,7 +228,7 @@ class NightlyStore(Part):
         return CrossChecks(night=None, time=None, checks=())
 
 
-def _summary(connection: Connection, judged: Row[Any, Any, Any, Any, Any, Any]) -> dict[str, Any]:
+def _make_summary(connection: Connection, judged: Row[Any, Any, Any, Any, Any, Any]) -> dict[str, Any]:
     """Return the columns of the summary of a judged day."""
     first, after = map(utc_time, day_bounds_unix_s(judged.date, longitude=judged.longitude))
     s, e, c = sun_point.c, event.c, calibration.c

@@ -40,7 +40,7 @@ def detect_in_files(
     full_scale : the largest count; judged from the file where None.
     bayer : colours of a raw mosaic's top-left 2×2 pixels.
     """
-    return [_row(path, method=method, full_scale=full_scale, bayer=bayer) for path in paths]
+    return [_make_row(path, method=method, full_scale=full_scale, bayer=bayer) for path in paths]
 
 
 def detect_in_image(
@@ -86,7 +86,7 @@ def detect_in_image(
 def draw_overlay(path: Path, found: dict[str, Any], target: Path) -> None:
     """Write the image with a cross on the sun: green where it is accepted, orange where it is rejected."""
     image = read_image(path)
-    canvas = preview(image) if image.ndim == 2 else _eight_bits(image)
+    canvas = preview(image) if image.ndim == 2 else _convert_to_eight_bits(image)
     if canvas.ndim == 2:
         canvas = cv2.cvtColor(canvas, cv2.COLOR_GRAY2BGR).astype(np.uint8)
     if found["x_px"] is not None:
@@ -99,7 +99,7 @@ def draw_overlay(path: Path, found: dict[str, Any], target: Path) -> None:
         target.write_bytes(cv2.imencode(".png", canvas)[1].tobytes())
 
 
-def _row(path: Path, *, method: Method, full_scale: int | None, bayer: Bayer | None) -> dict[str, Any]:
+def _make_row(path: Path, *, method: Method, full_scale: int | None, bayer: Bayer | None) -> dict[str, Any]:
     try:
         found = detect_in_image(read_image(path), method=method, full_scale=full_scale, bayer=bayer)
     except InputError as error:
@@ -131,5 +131,5 @@ def estimated_full_scale(image: Image) -> int:
     return next(scale for scale in _FULL_SCALES if scale >= top)
 
 
-def _eight_bits(image: Image) -> np.ndarray[Any, np.dtype[np.uint8]]:
+def _convert_to_eight_bits(image: Image) -> np.ndarray[Any, np.dtype[np.uint8]]:
     return image if image.dtype == np.uint8 else (image // 256).astype(np.uint8)  # type: ignore[return-value]

@@ -56,7 +56,7 @@ def expectations(
             x_px=float(pixels[n, 0]),
             y_px=float(pixels[n, 1]),
             uncertainty_px=max(float(sigma[n]), _LEAST_UNCERTAINTY_PX),
-            stretch_px_per_rad=_two_by_two(stretch[n].tolist()),
+            stretch_px_per_rad=_matrix_tuple(stretch[n].tolist()),
             apparent_zenith=float(zenith[n]),
         )
         if inside[n] and np.isfinite(sigma[n])
@@ -65,7 +65,7 @@ def expectations(
     ]
 
 
-def _two_by_two(rows: list[list[float]]) -> tuple[tuple[float, float], tuple[float, float]]:
+def _matrix_tuple(rows: list[list[float]]) -> tuple[tuple[float, float], tuple[float, float]]:
     return (rows[0][0], rows[0][1]), (rows[1][0], rows[1][1])
 
 

@@ -36,10 +36,10 @@ _MEAN = "AVEPIXEL"
 
 def fits_frame(file: FitsFile, name: str) -> FileImage:
     """Return the time and exposure that a FITS file's header states."""
-    merged = _fits_cards(file, name)
-    exposure_s = next((_number(merged[key]) for key in _EXPOSURES if key in merged), math.nan)
+    merged = _read_cards(file, name)
+    exposure_s = next((_number_or_nan(merged[key]) for key in _EXPOSURES if key in merged), math.nan)
     exposure_us = 1e6 * exposure_s if exposure_s > 0.0 else None
-    middle, begin, end = (_fits_time(merged, *keys) for keys in (_MIDDLES, _BEGINS, ("DATE-END",)))
+    middle, begin, end = (_read_header_time(merged, *keys) for keys in (_MIDDLES, _BEGINS, ("DATE-END",)))
     if exposure_us is None and begin is not None and end is not None and end > begin:
         exposure_s = (end - begin).total_seconds()
         exposure_us = 1e6 * exposure_s
@@ -53,8 +53,12 @@ _SITES = (("SITELAT", "SITELONG"), ("OBSLAT", "OBSLONG"), ("LAT-OBS", "LONG-OBS"
 
 def fits_site(file: FitsFile, name: str) -> tuple[float, float] | None:
     """Return the latitude and longitude, degrees, that a FITS file's header states as numbers; None without them."""
-    merged = _fits_cards(file, name)
-    stated = [(_number(merged[north]), _number(merged[east])) for north, east in _SITES if {north, east} <= set(merged)]
+    merged = _read_cards(file, name)
+    stated = [
+        (_number_or_nan(merged[north]), _number_or_nan(merged[east]))
+        for north, east in _SITES
+        if {north, east} <= set(merged)
+    ]
     return next((place for place in stated if math.isfinite(place[0]) and math.isfinite(place[1])), None)
 
 
@@ -65,7 +69,7 @@ def fits_image(file: FitsFile, name: str, *, size: tuple[int, int] | None) -> Im
     ------
     FindingError : it has none, or one of another size.
     """
-    images = [hdu for hdu in _fits_units(file, name) if len(hdu.shape) in {2, 3} and 0 not in hdu.shape]
+    images = [hdu for hdu in _open_units(file, name) if len(hdu.shape) in {2, 3} and 0 not in hdu.shape]
     images.sort(key=lambda hdu: hdu.name != _MEAN)
     if not images:
         raise unreadable(name, "no image in it (astropy)")
@@ -129,30 +133,30 @@ def _require_pixels(shape: tuple[int, ...], name: str) -> None:
 
 def fits_bayer(file: FitsFile, name: str) -> Bayer | None:
     """Return the colours of a raw mosaic as the header states them (BAYERPAT, of its first stored row); None: none."""
-    merged = _fits_cards(file, name)
+    merged = _read_cards(file, name)
     stated = str(merged.get("BAYERPAT", "")).strip().upper()
     rows = [stated[:2], stated[2:]]
-    if _odd(merged.get("XBAYROFF")):
+    if _is_odd(merged.get("XBAYROFF")):
         rows = [row[::-1] for row in rows]
-    if _odd(merged.get("YBAYROFF")):
+    if _is_odd(merged.get("YBAYROFF")):
         rows = rows[::-1]
     return next((bayer for bayer in BAYERS if bayer == "".join(rows)), None)
 
 
-def _fits_cards(file: FitsFile, name: str) -> dict[str, Any]:
+def _read_cards(file: FitsFile, name: str) -> dict[str, Any]:
     """Return the cards of all headers by their names, those of the first before those of the others."""
     merged: dict[str, Any] = {}
     with refusing(name, "no header of FITS"):
-        for hdu in reversed(_fits_units(file, name)):
+        for hdu in reversed(_open_units(file, name)):
             merged.update(hdu.header)
     return merged
 
 
-def _odd(value: object) -> bool:
+def _is_odd(value: object) -> bool:
     return isinstance(value, int) and value % 2 == 1
 
 
-def _fits_units(file: FitsFile, name: str) -> list[Any]:
+def _open_units(file: FitsFile, name: str) -> list[Any]:
     fits = extra_module("astropy.io.fits", extra="fits")
     with refusing(name, "no FITS file by astropy"), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of headers beside the standard, and of truncation, which is looked at here
@@ -166,12 +170,15 @@ _MOST_UNITS = 64
 """Header and data units that are read."""
 
 
-def _fits_time(header: dict[str, Any], *keys: str) -> datetime | None:
+def _read_header_time(header: dict[str, Any], *keys: str) -> datetime | None:
     """Return the first time of images under some keys of a header, read with its zone; None of another scale than UTC.
 
     Cameras without a clock write a placeholder, as 0.
     """
-    times = (_fits_days(header, key) if key.startswith(("MJD", "JD")) else _fits_date(header, key) for key in keys)
+    times = (
+        _parse_julian_days(header, key) if key.startswith(("MJD", "JD")) else _parse_date_card(header, key)
+        for key in keys
+    )
     time = next((one for one in times if one is not None and is_plausible_time(one)), None)
     scale = str(header.get("TIMESYS", "UTC")).strip().upper()
     return time if scale in {"UTC", "UT"} else None
@@ -181,7 +188,7 @@ _DATE = re.compile(r"\d{4}-\d{2}-\d{2}")
 _CLOCK = re.compile(r"(\d{1,2}):(\d{2}):(\d{2}(?:\.\d*)?)")
 
 
-def _fits_date(header: dict[str, Any], key: str) -> datetime | None:
+def _parse_date_card(header: dict[str, Any], key: str) -> datetime | None:
     """Return the time of a card, or of the date in it and the clock of another card."""
     text = str(header.get(key, "")).strip()
     if _DATE.fullmatch(text):
@@ -204,12 +211,12 @@ _DAYS_OF_1970 = {"MJD": 40_587.0, "JD": 2_440_587.5}
 """Modified Julian date and Julian date of 1970-01-01T00:00:00."""
 
 
-def _fits_days(header: dict[str, Any], key: str) -> datetime | None:
+def _parse_julian_days(header: dict[str, Any], key: str) -> datetime | None:
     try:
-        return EPOCH + timedelta(days=_number(header.get(key)) - _DAYS_OF_1970[key[: 3 if key[0] == "M" else 2]])
+        return EPOCH + timedelta(days=_number_or_nan(header.get(key)) - _DAYS_OF_1970[key[: 3 if key[0] == "M" else 2]])
     except (ValueError, OverflowError):
         return None
 
 
-def _number(value: object) -> float:
+def _number_or_nan(value: object) -> float:
     return float(value) if isinstance(value, int | float) else math.nan

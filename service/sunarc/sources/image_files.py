@@ -55,18 +55,18 @@ def checked_image(encoded: bytes, name: str, *, size: tuple[int, int] | None = N
     """
     if encoded.startswith(NETPBM):
         return next(image for _, image in netpbm_images(io.BytesIO(encoded), name, [0], size=size))
-    fault = _header_fault(encoded, size)
+    fault = _find_header_fault(encoded, size)
     if fault is not None:
         raise FindingError(name, fault)
     image = decoded(encoded)
     if image is not None and image.dtype == np.uint8:
-        return _opaque(image.astype(np.uint8, copy=False), name)
+        return _remove_alpha(image.astype(np.uint8, copy=False), name)
     if image is not None and image.dtype == np.uint16:
-        return _opaque(image.astype(np.uint16, copy=False), name)
+        return _remove_alpha(image.astype(np.uint16, copy=False), name)
     raise unreadable(name, "no image of 8 or 16 bits that OpenCV can decode")
 
 
-def _opaque(image: Image, name: str) -> Image:
+def _remove_alpha(image: Image, name: str) -> Image:
     """Return an image without its alpha channel; one that is not opaque everywhere is refused."""
     if image.ndim == 2 or image.shape[2] == 3:
         return image
@@ -85,7 +85,7 @@ class _Header(NamedTuple):
     frames: int
 
 
-def _header_fault(encoded: bytes, size: tuple[int, int] | None) -> Finding | None:
+def _find_header_fault(encoded: bytes, size: tuple[int, int] | None) -> Finding | None:
     """Return the fault of an image, by its header and its end."""
     unread = unread_content(encoded[:16])
     if unread is not None:
@@ -125,20 +125,20 @@ def _is_truncated(encoded: bytes, kind: str) -> bool:
     if kind == "PNG":
         return b"IEND" not in encoded
     if kind in _ONE_IMAGE:
-        return _END_OF_IMAGE not in encoded[_scan_start(encoded) :]
+        return _END_OF_IMAGE not in encoded[_find_scan_start(encoded) :]
     if kind == "WEBP":
         return int.from_bytes(encoded[4:8], "little") + 8 > len(encoded)
-    return kind == "BMP" and _bmp_bytes(encoded) > len(encoded)
+    return kind == "BMP" and _compute_bmp_end(encoded) > len(encoded)
 
 
-def _bmp_bytes(encoded: bytes) -> int:
+def _compute_bmp_end(encoded: bytes) -> int:
     """Return where the pixels of a BMP file end, at least: rows of whole words of 4 bytes; 0 of compressed ones."""
     begin, _, width, height, _, bits, compression = struct.unpack_from("<IIiiHHI", encoded, 10)
     is_compressed = compression not in {0, 3}
     return 0 if is_compressed else int(begin + 4 * ((abs(width) * bits + 31) // 32) * abs(height))
 
 
-def _scan_start(jpeg: bytes) -> int:
+def _find_scan_start(jpeg: bytes) -> int:
     """Return where a JPEG's image data begin: its thumbnail, before them, has an end mark of its own."""
     at = 2
     while at + 4 <= len(jpeg) and jpeg[at] == 0xFF:
@@ -176,7 +176,7 @@ def images_in(
     size : width and height that they must have, px; None for any.
     """
     try:
-        yield from _images(source, name, numbers, size)
+        yield from _read_images(source, name, numbers, size)
     except FindingError as error:
         yield from ((number, error.finding) for number in numbers)
     except InputError as error:  # an extra is missing
@@ -184,7 +184,7 @@ def images_in(
         yield from ((number, unread) for number in numbers)
 
 
-def _images(
+def _read_images(
     source: ImageSource, name: str, numbers: Sequence[int], size: tuple[int, int] | None
 ) -> Iterator[tuple[int, Image | Finding]]:
     kind = find_kind(name)
@@ -204,31 +204,31 @@ class _Reader(NamedTuple):
     images: Callable[[ImageSource, str, Sequence[int], tuple[int, int] | None], Images]
 
 
-def _picture_images(source: ImageSource, name: str, numbers: Sequence[int], size: tuple[int, int] | None) -> Images:
-    content = _picture_content(source, name)
+def _read_picture(source: ImageSource, name: str, numbers: Sequence[int], size: tuple[int, int] | None) -> Images:
+    content = _read_picture_content(source, name)
     if (embedded_document(content[:_HEAD_BYTES]) or {}).get("preview"):
         raise FindingError(name, Finding("file_preview"))
     yield numbers[0], checked_image(content, name, size=size)
 
 
-def _netpbm_frames(source: ImageSource, name: str, sidecar: Sidecar) -> list[FileImage]:
+def _list_netpbm_frames(source: ImageSource, name: str, sidecar: Sidecar) -> list[FileImage]:
     del sidecar
     with opened(source, name) as file:
         return netpbm_frames(file, name)
 
 
-def _netpbm_images(source: ImageSource, name: str, numbers: Sequence[int], size: tuple[int, int] | None) -> Images:
+def _read_netpbm_images(source: ImageSource, name: str, numbers: Sequence[int], size: tuple[int, int] | None) -> Images:
     with opened(source, name) as file:
         yield from netpbm_images(file, name, numbers, size=size)
 
 
-def _fits_frames(source: ImageSource, name: str, sidecar: Sidecar) -> list[FileImage]:
+def _list_fits_frames(source: ImageSource, name: str, sidecar: Sidecar) -> list[FileImage]:
     del sidecar
     with opened(source, name) as file:
         return [fits_frame(file, name)]
 
 
-def _fits_images(source: ImageSource, name: str, numbers: Sequence[int], size: tuple[int, int] | None) -> Images:
+def _read_fits_images(source: ImageSource, name: str, numbers: Sequence[int], size: tuple[int, int] | None) -> Images:
     with opened(source, name) as file:
         yield numbers[0], fits_image(file, name, size=size)
 
@@ -238,9 +238,9 @@ def _open_file(source: ImageSource, name: str) -> Path | bytes:
 
 
 _READERS: Mapping[Kind, _Reader] = {
-    "picture": _Reader(lambda *_: [FileImage(0)], _picture_images),
-    "netpbm": _Reader(_netpbm_frames, _netpbm_images),
-    "fits": _Reader(_fits_frames, _fits_images),
+    "picture": _Reader(lambda *_: [FileImage(0)], _read_picture),
+    "netpbm": _Reader(_list_netpbm_frames, _read_netpbm_images),
+    "fits": _Reader(_list_fits_frames, _read_fits_images),
     "netcdf": _Reader(
         lambda source, name, _: netcdf_frames(_open_file(source, name), name),
         lambda source, name, numbers, size: netcdf_images(_open_file(source, name), name, numbers, size=size),
@@ -272,20 +272,20 @@ def image_size(source: ImageSource, name: str, number: int = 0) -> tuple[int, in
     return None if isinstance(found, Finding) else (found.shape[1], found.shape[0])
 
 
-def _picture_content(source: ImageSource, name: str) -> bytes:
+def _read_picture_content(source: ImageSource, name: str) -> bytes:
     """Return a picture's content; of a compressed one not more is inflated than its header states twice over."""
     if not name.lower().endswith(".gz"):
         return read_content(source, name)
     with opened(source, name) as file:
         head = file.read(_HEAD_BYTES)
-        most = _stated_bytes(head, name)
+        most = _bound_decoded_bytes(head, name)
         content = head + file.read(max(most - len(head), 0) + 1)
     if len(content) > most:
         raise FindingError(name, Finding("file_too_large", {"bytes": len(content), "most": most}))
     return content
 
 
-def _stated_bytes(head: bytes, name: str) -> int:
+def _bound_decoded_bytes(head: bytes, name: str) -> int:
     """Return twice the bytes of the image that the head of a file states, or of a WebP file those that it states."""
     if head[:4] == b"RIFF":
         return min(int.from_bytes(head[4:8], "little") + 8, 2 * 3 * MOST_PIXELS)

@@ -88,7 +88,7 @@ def sidecar_time(text: bytes, name: str, exposure_us: float | None) -> tuple[dat
     """
     try:
         sidecar: dict[str, Any] = json.loads(text)
-        exposure = _exposure(sidecar.get("exposure_us", exposure_us), where=f"{name}, exposure_us")
+        exposure = _parse_exposure(sidecar.get("exposure_us", exposure_us), where=f"{name}, exposure_us")
         return parse_time(str(sidecar["time_utc"]), where=f"{name}, time_utc"), exposure
     except InputError as error:
         raise FindingError(error.field, Finding("file_sidecar", {"error": error.problem})) from None
@@ -96,7 +96,7 @@ def sidecar_time(text: bytes, name: str, exposure_us: float | None) -> tuple[dat
         raise FindingError(name, Finding("file_sidecar", {"error": "no JSON with time_utc"})) from None
 
 
-def _exposure(value: object, *, where: str) -> float | None:
+def _parse_exposure(value: object, *, where: str) -> float | None:
     """Return an exposure in us that JSON holds; None for null and for 0, which stands for "not known"."""
     if value is None:
         return None
@@ -188,17 +188,19 @@ def timed_frames(source: ImageSource, name: str, rules: TimeRules, *, names: Col
     if len(frames) == 1 and kind in {"netpbm", "fits"} and (rules.pattern is not None or frames[0].time is None):
         frame = timed_picture(source, name, rules, names=names)
         return [frame._replace(exposure_us=frames[0].exposure_us or frame.exposure_us)]
-    named = _named(source, name)
+    named = _find_name_time(source, name)
     family = HEADER_FAMILIES[str(kind)]
-    return [_in_range(_header_frame(frame, name, named, rules, family=family), name) for frame in frames]
+    return [
+        _require_plausible_time(_make_header_frame(frame, name, named, rules, family=family), name) for frame in frames
+    ]
 
 
-def _named(source: ImageSource, name: str) -> NamedTime | None:
+def _find_name_time(source: ImageSource, name: str) -> NamedTime | None:
     """Return the time in a file's path, or in that with the name of its source, which may be the folder of a day."""
     return time_in_name(name) or time_in_name(f"{PurePosixPath(source.address).name}/{name}")
 
 
-def _in_range(frame: TimedFrame, name: str) -> TimedFrame:
+def _require_plausible_time(frame: TimedFrame, name: str) -> TimedFrame:
     if is_plausible_time(frame.time):
         return frame
     written = frame.time.isoformat(timespec="seconds")
@@ -207,28 +209,28 @@ def _in_range(frame: TimedFrame, name: str) -> TimedFrame:
 
 def timed_picture(source: ImageSource, name: str, rules: TimeRules, *, names: Collection[str]) -> TimedFrame:
     """Return the image of a picture with its time; see `timed_frames`."""
-    return _in_range(_timed_picture(source, name, rules, names=names), name)
+    return _require_plausible_time(_date_picture(source, name, rules, names=names), name)
 
 
-def _timed_picture(source: ImageSource, name: str, rules: TimeRules, *, names: Collection[str]) -> TimedFrame:
+def _date_picture(source: ImageSource, name: str, rules: TimeRules, *, names: Collection[str]) -> TimedFrame:
     path = PurePosixPath(name)
     sidecar_name = name_sidecar(name)
-    named = _named(source, name)
+    named = _find_name_time(source, name)
     prefix = "" if named is None else named.prefix
     if rules.pattern is not None:
-        return _by_pattern(source, path, rules, prefix)
+        return _date_by_pattern(source, path, rules, prefix)
     if sidecar_name in names:
         time, exposure_us = sidecar_time(
             read_content(source, sidecar_name), sidecar_name, parse_name_exposure(path.name)
         )
         return TimedFrame(0, time, exposure_us, "sidecar", prefix)
-    composed = _document_time(source, name) if rules.documents else None
+    composed = _read_document_time(source, name) if rules.documents else None
     if composed is not None:
         return TimedFrame(0, composed, parse_name_exposure(path.name), "document", prefix)
-    return _picture_frame(source, name, named, rules)
+    return _make_picture_frame(source, name, named, rules)
 
 
-def _document_time(source: ImageSource, name: str) -> datetime | None:
+def _read_document_time(source: ImageSource, name: str) -> datetime | None:
     """Return the time that one of our own composites states; None for other pictures. A preview is refused."""
     stated = document_in(source, name).get("time_utc")
     try:
@@ -237,50 +239,60 @@ def _document_time(source: ImageSource, name: str) -> datetime | None:
         return None
 
 
-def _by_pattern(source: ImageSource, path: PurePosixPath, rules: TimeRules, prefix: str) -> TimedFrame:
+def _date_by_pattern(source: ImageSource, path: PurePosixPath, rules: TimeRules, prefix: str) -> TimedFrame:
     pattern = str(rules.pattern)
     written = time_pattern(pattern).read(path_stem(f"{source.address.rstrip('/')}/{path}"))
     if written is None:
         raise FindingError(path.name, Finding("file_time_pattern", {"pattern": pattern}))
-    utc = _utc(*written, path.name, rules)
+    utc = _convert_written_time(*written, path.name, rules)
     return TimedFrame(0, utc, parse_name_exposure(path.name), "pattern", prefix)
 
 
-def _picture_frame(source: ImageSource, name: str, named: NamedTime | None, rules: TimeRules) -> TimedFrame:
+def _make_picture_frame(source: ImageSource, name: str, named: NamedTime | None, rules: TimeRules) -> TimedFrame:
     exposure_us = parse_name_exposure(name)
     prefix = "" if named is None else named.prefix
     if named is not None and (named.ahead is not None or rules.offset is not None):
-        return TimedFrame(0, _utc(named.time, named.ahead, name, rules), exposure_us, named.family, prefix)
-    found = _from_header(read_content(source, name))
+        return TimedFrame(
+            0, _convert_written_time(named.time, named.ahead, name, rules), exposure_us, named.family, prefix
+        )
+    found = _read_header_time(read_content(source, name))
     if found is not None and (found[0].tzinfo is not None or named is None):
-        return TimedFrame(0, _in_utc(found[0], name, rules), exposure_us, found[1], prefix)
+        return TimedFrame(0, _convert_to_utc(found[0], name, rules), exposure_us, found[1], prefix)
     if named is None:
         raise FindingError(name, no_time_finding(PurePosixPath(name).name))
-    return TimedFrame(0, _utc(named.time, named.ahead, name, rules), exposure_us, named.family, prefix)
+    return TimedFrame(0, _convert_written_time(named.time, named.ahead, name, rules), exposure_us, named.family, prefix)
 
 
-def _header_frame(frame: FileImage, name: str, named: NamedTime | None, rules: TimeRules, *, family: str) -> TimedFrame:
+def _make_header_frame(
+    frame: FileImage, name: str, named: NamedTime | None, rules: TimeRules, *, family: str
+) -> TimedFrame:
     """Return a frame with the time of its file's header, or of its name where it has none."""
     prefix = "" if named is None else named.prefix
     if frame.time is not None:
         return TimedFrame(frame.number, frame.time, frame.exposure_us, family, prefix)
     if named is None:
         raise FindingError(name, no_time_finding(PurePosixPath(name).name))
-    return TimedFrame(frame.number, _utc(named.time, named.ahead, name, rules), frame.exposure_us, named.family, prefix)
+    return TimedFrame(
+        frame.number,
+        _convert_written_time(named.time, named.ahead, name, rules),
+        frame.exposure_us,
+        named.family,
+        prefix,
+    )
 
 
-def _from_header(content: bytes) -> tuple[datetime, str] | None:
+def _read_header_time(content: bytes) -> tuple[datetime, str] | None:
     """Return the time in a picture's header, naive where that has no zone, and which header it is."""
     head = content[: 1 << 16]
     if _MOBOTIX in head:
-        time = _mobotix_time({key: text.decode(errors="replace") for key, text in _MOBOTIX_FIELD.findall(head)})
+        time = _parse_mobotix_time({key: text.decode(errors="replace") for key, text in _MOBOTIX_FIELD.findall(head)})
         if time is not None:
             return time, "Mobotix header"
     time = exif_time(io.BytesIO(content))
     return None if time is None else (time, "EXIF")
 
 
-def _mobotix_time(fields: dict[bytes, str]) -> datetime | None:
+def _parse_mobotix_time(fields: dict[bytes, str]) -> datetime | None:
     """Return the time of a Mobotix header: seconds since 1970, else its local time, naive without a known zone."""
     with suppress(ValueError, OverflowError, KeyError):
         time = utc_time(float(fields[b"TIT"]))
@@ -294,10 +306,10 @@ def _mobotix_time(fields: dict[bytes, str]) -> datetime | None:
     return local if ahead is None else local.replace(tzinfo=timezone(ahead))
 
 
-def _utc(written: datetime, ahead: timedelta | None, name: str, rules: TimeRules) -> datetime:
+def _convert_written_time(written: datetime, ahead: timedelta | None, name: str, rules: TimeRules) -> datetime:
     """Return the time that a name states, in UTC; FindingError where nothing states its zone, or two things do."""
     if ahead is None:
-        return _in_utc(written, name, rules)
+        return _convert_to_utc(written, name, rules)
     _require_agreement(written, ahead, name, rules)
     try:
         return written.replace(tzinfo=UTC) - ahead
@@ -317,9 +329,9 @@ def _require_agreement(written: datetime, ahead: timedelta | None, name: str, ru
         raise FindingError(name, finding)
 
 
-def _in_utc(time: datetime, name: str, rules: TimeRules) -> datetime:
+def _convert_to_utc(time: datetime, name: str, rules: TimeRules) -> datetime:
     if time.tzinfo is None and rules.offset is None:
-        raise _unknown_zone(name, time)
+        raise _unknown_zone_error(name, time)
     try:
         if time.tzinfo is not None or rules.offset is None:
             return time.astimezone(UTC)
@@ -328,7 +340,7 @@ def _in_utc(time: datetime, name: str, rules: TimeRules) -> datetime:
         raise FindingError(name, Finding("file_time_unknown")) from None
 
 
-def _unknown_zone(name: str, time: datetime) -> FindingError:
+def _unknown_zone_error(name: str, time: datetime) -> FindingError:
     return FindingError(name, Finding("file_time_zone", {"written": time.isoformat(timespec="seconds")}))
 
 

@@ -194,7 +194,7 @@ class Indexed(NamedTuple):
         return [one for one in unknown if find_kind(one.file) == "fits"]
 
 
-class _Found(NamedTuple):
+class _DatedImage(NamedTuple):
     image: ArchiveImage
     frame: TimedFrame
 
@@ -211,17 +211,17 @@ def index_archive(plans: Sequence[CameraPlan]) -> Indexed:
     """
     indexed, taken = Indexed([], [], []), {plan.name for plan in plans}
     for plan in plans:
-        found, failed = _found(plan)
+        found, failed = _date_all_images(plan)
         indexed.failures.extend(Failure(_show_path(address, file), finding) for address, file, finding in failed)
         taken.discard(plan.name)
         by_prefix = defaultdict(list)
         for one in found:
             by_prefix[one.frame.prefix].append(one)
         for prefix, members in sorted(by_prefix.items()):
-            named = plan if len(by_prefix) == 1 else replace(plan, name=_camera_name(plan.name, prefix, taken))
-            for sized, of_size, notes in _by_size(named, members, taken):
+            named = plan if len(by_prefix) == 1 else replace(plan, name=_make_camera_name(plan.name, prefix, taken))
+            for sized, of_size, notes in _split_by_size(named, members, taken):
                 taken.add(sized.name)
-                _add(indexed, sized, of_size, notes)
+                _add_camera(indexed, sized, of_size, notes)
         if not found:
             unmatched = Finding("camera_without_files", {"files": plan.selector.files})
             indexed.refused.append(Failure(plan.name, Finding("camera_without_images") if failed else unmatched))
@@ -229,31 +229,31 @@ def index_archive(plans: Sequence[CameraPlan]) -> Indexed:
     return indexed
 
 
-def _by_size(
-    plan: CameraPlan, members: list[_Found], taken: Container[str]
-) -> Iterator[tuple[CameraPlan, list[_Found], tuple[Finding, ...]]]:
+def _split_by_size(
+    plan: CameraPlan, members: list[_DatedImage], taken: Container[str]
+) -> Iterator[tuple[CameraPlan, list[_DatedImage], tuple[Finding, ...]]]:
     """Yield images by their size where that changed, the most frequent one first; each with a lens of its own.
 
     Where one size follows the other they are states of one camera, else those of several. Images of a size that hardly
     any has stay with the first, which refuses them.
     """
     some = _sample_images([one.image for one in members])
-    sampled = Counter(map(_stated_size, some))
+    sampled = Counter(map(_read_stated_size, some))
     others = [size for size, n in sampled.most_common()[1:] if size is not None and n >= _OTHER_SIZE * len(some)]
     if plan.image_size is not None or not others:
         yield plan, members, ()
         return
-    of_size: dict[tuple[int, int] | None, list[_Found]] = defaultdict(list)
+    of_size: dict[tuple[int, int] | None, list[_DatedImage]] = defaultdict(list)
     for one in members:
-        of_size[_stated_size(one.image)].append(one)
+        of_size[_read_stated_size(one.image)].append(one)
     large = {size: found for size, found in of_size.items() if size is not None and len(found) >= _FEWEST_OF_SIZE}
     if not large:
         yield plan, members, ()
         return
     usual, *rest = sorted(large, key=lambda size: -len(large[size]))
-    changed = tuple(_resized_finding(size, large[size]) for size in rest)
+    changed = tuple(_make_resized_finding(size, large[size]) for size in rest)
     few = [one for size, found in of_size.items() if size not in large for one in found]
-    of = plan.name if _is_one_after_the_other(list(large.values())) else None
+    of = plan.name if _are_consecutive(list(large.values())) else None
     parts = [(replace(plan, image_size=usual, part_of=of), [*large[usual], *few], changed)]
     for size, finding in zip(rest, changed, strict=True):
         name = new_camera_name(f"{plan.name}-{size[0]}x{size[1]}", taken=taken)
@@ -261,18 +261,18 @@ def _by_size(
     yield from parts if of is None else sorted(parts, key=lambda part: min(one.frame.time for one in part[1]))
 
 
-def _is_one_after_the_other(parts: Sequence[Sequence[_Found]]) -> bool:
+def _are_consecutive(parts: Sequence[Sequence[_DatedImage]]) -> bool:
     """Return whether no part begins before another one ends, as the images of a camera whose picture was resized."""
     spans = sorted((min(one.frame.time for one in part), max(one.frame.time for one in part)) for part in parts)
     return all(before[1] < after[0] for before, after in itertools.pairwise(spans))
 
 
-def _resized_finding(size: tuple[int, int], found: Sequence[_Found]) -> Finding:
+def _make_resized_finding(size: tuple[int, int], found: Sequence[_DatedImage]) -> Finding:
     first = rfc3339(min(one.frame.time for one in found), timespec="seconds")
     return Finding("image_size_changed", {"n": len(found), "width": size[0], "height": size[1], "first": first})
 
 
-def _camera_name(name: str, prefix: str, taken: Container[str]) -> str:
+def _make_camera_name(name: str, prefix: str, taken: Container[str]) -> str:
     cleaned = "".join(letter if letter.isalnum() else "-" for letter in prefix).strip("-")
     return new_camera_name(f"{name}-{cleaned}" if cleaned else name, taken=taken)
 
@@ -298,18 +298,18 @@ def index_folder(plan: CameraPlan) -> tuple[CameraImages, list[Failure]]:
     folder = plan.selector.sources[0]
     if not Path(name_path(folder)).is_dir():
         raise InputError(field=folder, problem="is no folder", remedy="name a folder of images")
-    found, failed = _found(plan)
+    found, failed = _date_all_images(plan)
     if not found and not failed and plan.selector.only is None:
         raise InputError(field=folder, problem="has no images", remedy="name a folder of PNG, JPEG or TIFF files")
-    images, copies = _single(sorted(one.image for one in found), same=_content_hash)
-    parts = _by_sun(images, plan, nights=True)
+    images, copies = _separate_copies(sorted(one.image for one in found), same=_content_hash)
+    parts = _split_by_sun(images, plan, nights=True)
     left_out = [
         *((file, finding) for _, file, finding in failed),
         *((one.path, _copy_finding(one)) for one in copies),
         *((one.path, finding) for one, finding in parts.dusk),
     ]
-    size = plan.image_size or _usual_size(parts.day) or (0, 0)
-    orientation = _orientation(parts.day)
+    size = plan.image_size or _find_usual_size(parts.day) or (0, 0)
+    orientation = _find_orientation(parts.day)
     camera = CameraImages(
         plan=plan,
         images=parts.day,
@@ -322,9 +322,9 @@ def index_folder(plan: CameraPlan) -> tuple[CameraImages, list[Failure]]:
     return camera, [Failure(path, finding) for path, finding in left_out]
 
 
-def _found(plan: CameraPlan) -> tuple[list[_Found], list[tuple[str, str, Finding]]]:
+def _date_all_images(plan: CameraPlan) -> tuple[list[_DatedImage], list[tuple[str, str, Finding]]]:
     """Return the images of a plan's sources, and address, name and finding of the files that state no time."""
-    found, failed = list[_Found](), list[tuple[str, str, Finding]]()
+    found, failed = list[_DatedImage](), list[tuple[str, str, Finding]]()
     for address in plan.selector.sources:
         source = open_source(address)
         files = list(source.files())
@@ -343,18 +343,20 @@ def _found(plan: CameraPlan) -> tuple[list[_Found], list[tuple[str, str, Finding
     return found, failed
 
 
-def _date_images(source: ImageSource, file: SourceFile, plan: CameraPlan, names: set[str]) -> Iterator[_Found]:
+def _date_images(source: ImageSource, file: SourceFile, plan: CameraPlan, names: set[str]) -> Iterator[_DatedImage]:
     if file.size > MOST_BYTES and find_kind(file.name) in ONE_IMAGE:
         raise FindingError(file.name, Finding("file_too_large", {"bytes": file.size, "most": MOST_BYTES}))
     for frame in timed_frames(source, file.name, plan.rules, names=names):
         time_us = to_microseconds(frame.time)
         stamp = f"{file.size}-{file.stamp}"
-        yield _Found(ArchiveImage(time_us, file.name, frame.number, source.address, frame.exposure_us, stamp), frame)
+        yield _DatedImage(
+            ArchiveImage(time_us, file.name, frame.number, source.address, frame.exposure_us, stamp), frame
+        )
 
 
-def _add(indexed: Indexed, plan: CameraPlan, members: list[_Found], notes: tuple[Finding, ...]) -> None:
+def _add_camera(indexed: Indexed, plan: CameraPlan, members: list[_DatedImage], notes: tuple[Finding, ...]) -> None:
     """Add a camera with its images by day, or the reason why it has none."""
-    images, copies = _single(sorted(one.image for one in members))
+    images, copies = _separate_copies(sorted(one.image for one in members))
     if len(copies) > _MOST_COPIES * len(members):
         mixed: dict[str, float | int | str] = {
             "copies": len(copies),
@@ -365,17 +367,17 @@ def _add(indexed: Indexed, plan: CameraPlan, members: list[_Found], notes: tuple
         indexed.refused.append(Failure(plan.name, Finding("cameras_mixed", mixed)))
         return
     indexed.failures.extend(Failure(one.name, _copy_finding(one)) for one in copies)
-    parts = _by_sun(images, plan, nights=True)
+    parts = _split_by_sun(images, plan, nights=True)
     usual = parts.day or parts.night
     indexed.failures.extend(Failure(one.name, finding) for one, finding in parts.dusk)
     if not usual:
         indexed.refused.append(Failure(plan.name, all_at_night(images, plan.site)))
         return
-    size = plan.image_size or _usual_size(usual)
+    size = plan.image_size or _find_usual_size(usual)
     if size is None:
         indexed.refused.append(Failure(plan.name, Finding("camera_without_images")))
         return
-    first, orientation = members[0], _orientation(usual)
+    first, orientation = members[0], _find_orientation(usual)
     example = (first.image.name, rfc3339(first.frame.time, timespec="seconds"))
     families = Counter(one.frame.family for one in members).most_common(1)
     indexed.cameras.append(
@@ -392,7 +394,7 @@ def _add(indexed: Indexed, plan: CameraPlan, members: list[_Found], notes: tuple
     )
 
 
-class _Parts(NamedTuple):
+class _SunParts(NamedTuple):
     """Images of the day, of the night, and those of neither, with the finding why."""
 
     day: tuple[ArchiveImage, ...]
@@ -400,12 +402,12 @@ class _Parts(NamedTuple):
     dusk: list[tuple[ArchiveImage, Finding]]
 
 
-def _by_sun(images: Sequence[ArchiveImage], plan: CameraPlan, *, nights: bool) -> _Parts:
+def _split_by_sun(images: Sequence[ArchiveImage], plan: CameraPlan, *, nights: bool) -> _SunParts:
     """Return images by the sun's height: of the night where it is 12 degrees below the horizon or deeper."""
     zenith = zeniths_deg(images, plan.site)
     darkest = DARK_ZENITH_DEG if nights else math.inf
     pairs = list(zip(images, zenith, strict=True))
-    return _Parts(
+    return _SunParts(
         tuple(one for one, angle in pairs if angle <= plan.largest_zenith_deg),
         tuple(one for one, angle in pairs if angle >= darkest),
         [(one, at_night(angle)) for one, angle in pairs if plan.largest_zenith_deg < angle < darkest],
@@ -429,7 +431,7 @@ def all_at_night(images: Sequence[ArchiveImage], site: Site) -> Finding:
     return Finding("camera_at_night", {"images": len(images), "zenith_deg": zenith})
 
 
-def _single(
+def _separate_copies(
     images: Sequence[ArchiveImage], *, same: Callable[[ArchiveImage], object] = lambda _: None
 ) -> tuple[list[ArchiveImage], list[ArchiveImage]]:
     """Return images, and the copies of those before them: of the same name, time and exposure.
@@ -461,9 +463,9 @@ def _copy_finding(copy: ArchiveImage) -> Finding:
     return Finding("file_copy", {"file": PurePosixPath(copy.file).name})
 
 
-def _usual_size(images: Sequence[ArchiveImage]) -> tuple[int, int] | None:
+def _find_usual_size(images: Sequence[ArchiveImage]) -> tuple[int, int] | None:
     """Return the size (width, height) that most of some images have; None where none can be read."""
-    counted = Counter(size for size in map(_stated_size, _sample_images(images)) if size is not None)
+    counted = Counter(size for size in map(_read_stated_size, _sample_images(images)) if size is not None)
     return counted.most_common(1)[0][0] if counted else None
 
 
@@ -471,11 +473,11 @@ def _sample_images(images: Sequence[Taken]) -> Sequence[Taken]:
     return images[:: len(images) // _SAMPLED + 1]
 
 
-def _stated_size(image: ArchiveImage) -> tuple[int, int] | None:
+def _read_stated_size(image: ArchiveImage) -> tuple[int, int] | None:
     return image_size(open_source(image.address), image.file, image.number)
 
 
-def _orientation(images: Sequence[ArchiveImage]) -> Finding | None:
+def _find_orientation(images: Sequence[ArchiveImage]) -> Finding | None:
     """Return the orientation that EXIF states of a camera's images; None where it is upright."""
     some = _sample_images(images)
     turned = Counter(exif_orientation(open_source(one.address), one.file) for one in some)
@@ -511,10 +513,10 @@ def read_cameras(path: Path, *, common: CameraPlan, required: Collection[str] = 
             if isinstance(table, dict) and key not in table:
                 where = f"{path.name}, cameras.{name}"
                 raise InputError(field=where, problem=f"has no {key}", remedy=f"give it there, or --{key}")
-    return [_plan(name, table, common, path) for name, table in tables.items()]
+    return [_parse_plan(name, table, common, path) for name, table in tables.items()]
 
 
-def _plan(name: str, table: object, common: CameraPlan, path: Path) -> CameraPlan:
+def _parse_plan(name: str, table: object, common: CameraPlan, path: Path) -> CameraPlan:
     where = f"{path.name}, cameras.{name}"
     if not isinstance(table, dict) or set(table) - _KEYS:
         unknown = sorted(set(table) - _KEYS) if isinstance(table, dict) else [str(table)]
@@ -529,10 +531,10 @@ def _plan(name: str, table: object, common: CameraPlan, path: Path) -> CameraPla
 
 
 def _fill_plan(name: str, table: Mapping[str, Any], common: CameraPlan, folder: Path) -> CameraPlan:
-    sources = _get(table, "sources", lambda given: _sources(given, folder), common.selector.sources)
+    sources = _get_converted(table, "sources", lambda given: _parse_sources(given, folder), common.selector.sources)
     rules = TimeRules(
-        pattern=_get(table, "time_pattern", _pattern, common.rules.pattern),
-        offset=_get(
+        pattern=_get_converted(table, "time_pattern", _parse_pattern, common.rules.pattern),
+        offset=_get_converted(
             table, "utc_offset", lambda given: parse_utc_offset(given, field="utc_offset"), common.rules.offset
         ),
     )
@@ -543,26 +545,35 @@ def _fill_plan(name: str, table: Mapping[str, Any], common: CameraPlan, folder: 
         site=site,
         selector=Selector(sources, str(table.get("files", "*"))),
         rules=rules,
-        image_size=_get(table, "image_size", _size, common.image_size),
-        clock_error_s=_get(table, "clock_error", clock_bound_s, common.clock_error_s),
-        calibration=_get(table, "calibration", lambda given: folder / str(given), common.calibration),
-        method=_get(table, "method", _make_choice_check("auto", "disc", "paper"), common.method),
+        image_size=_get_converted(table, "image_size", _parse_size, common.image_size),
+        clock_error_s=_get_converted(table, "clock_error", clock_bound_s, common.clock_error_s),
+        calibration=_get_converted(table, "calibration", lambda given: folder / str(given), common.calibration),
+        method=_get_converted(table, "method", _make_choice_check("auto", "disc", "paper"), common.method),
         options=replace(
             common.options,
-            projection=_stated(table, "projection", (*PROJECTIONS, "auto"), common.options.projection, unstated="auto"),
-            mirrored=_stated(table, "mirrored", get_args(Mirrored), common.options.mirrored, unstated=None),
-            level_within_deg=_get(table, "level_within", float, common.options.level_within_deg),
+            projection=_choose_statement(
+                table, "projection", (*PROJECTIONS, "auto"), common.options.projection, unstated="auto"
+            ),
+            mirrored=_choose_statement(table, "mirrored", get_args(Mirrored), common.options.mirrored, unstated=None),
+            level_within_deg=_get_converted(table, "level_within", float, common.options.level_within_deg),
         ),
     )
 
 
-def _pattern(given: object) -> str:
+def _parse_pattern(given: object) -> str:
     return checked_pattern(str(given), field="time_pattern")
 
 
-def _stated(table: Mapping[str, Any], key: str, choices: Sequence[str], common: Any, *, unstated: str | None) -> Any:  # noqa: ANN401
+def _choose_statement(
+    table: Mapping[str, Any],
+    key: str,
+    choices: Sequence[str],
+    common: Any,  # noqa: ANN401
+    *,
+    unstated: str | None,
+) -> Any:  # noqa: ANN401
     """Return the statement of a camera or the command line; ValueError where both state it, and differently."""
-    found = _get(table, key, _make_choice_check(*choices), common)
+    found = _get_converted(table, key, _make_choice_check(*choices), common)
     if common not in {unstated, found}:
         raise ValueError(f"{key} is {found!r}, where --{key} {common} is given; give it in one place")
     return found
@@ -580,17 +591,17 @@ def clock_bound_s(given: float | str) -> float:
     return bound_s
 
 
-def _get(table: Mapping[str, Any], key: str, convert: Callable[[Any], Any], default: Any) -> Any:  # noqa: ANN401
+def _get_converted(table: Mapping[str, Any], key: str, convert: Callable[[Any], Any], default: Any) -> Any:  # noqa: ANN401
     return convert(table[key]) if key in table else default
 
 
-def _sources(given: object, folder: Path) -> tuple[str, ...]:
+def _parse_sources(given: object, folder: Path) -> tuple[str, ...]:
     if not isinstance(given, list) or not given:
         raise ValueError(f"sources is {given!r}, not a list of folders or archives")
     return tuple(str(one) if "://" in str(one) else name_text(folder / str(one)) for one in given)
 
 
-def _size(given: Sequence[Any]) -> tuple[int, int]:
+def _parse_size(given: Sequence[Any]) -> tuple[int, int]:
     width, height = (int(number) for number in given)
     return width, height
 

@@ -138,7 +138,7 @@ def look_at(chunk: Chunk) -> list[Answer]:
                 Answer(
                     file,
                     number,
-                    image if isinstance(image, Finding) else _look(image, items[number], chunk, static),
+                    image if isinstance(image, Finding) else _detect_sun(image, items[number], chunk, static),
                     source.content(file),
                 )
                 for number, image in images_in(source, file, changed, size=chunk.size)
@@ -200,28 +200,30 @@ def _look_at_stack(chunk: Chunk, static: BoolArray | None) -> list[Answer]:
     found: dict[Item, Detection | Finding] = {}
     if len(stack) > 1 and ordinary:
         first = next(iter(stack))
-        found = {item: _member(first, item) for item in stack}
+        found = {item: _make_member_answer(first, item) for item in stack}
         photos = [Photo(image, scale, item.exposure_us, static) for item, image in stack.items()]
         found[first] = (
-            _no_sun("paper", first.exposure_us)
+            _make_no_sun("paper", first.exposure_us)
             if first.outside
             else _try_detector(partial(detect_sun_in_stack, photos, expectation=first.expectation))
         )
     for item, image in images.items():
         if item not in found:
-            found[item] = image if isinstance(image, Finding) else _look(image, item, chunk, static)
+            found[item] = image if isinstance(image, Finding) else _detect_sun(image, item, chunk, static)
     return [Answer(item.file, item.number, found[item]) for item in chunk.items]
 
 
-def _member(first: Item, item: Item) -> Detection:
+def _make_member_answer(first: Item, item: Item) -> Detection:
     """Return the answer for an exposure whose stack has its sighting in another file."""
     named = (Finding("stack_member", {"file": PurePosixPath(first.file).name}),)
     return Detection(method="paper", accepted=False, verdict=IN_STACK, findings=named, exposure_us=item.exposure_us)
 
 
-def _look(image: Image, item: Item, chunk: Chunk, static: BoolArray | None) -> Detection | Finding:
+def _detect_sun(image: Image, item: Item, chunk: Chunk, static: BoolArray | None) -> Detection | Finding:
     if item.outside:
-        return _no_sun(selected_method(image, chunk.method, full_scale=estimated_full_scale(image)), item.exposure_us)
+        return _make_no_sun(
+            selected_method(image, chunk.method, full_scale=estimated_full_scale(image)), item.exposure_us
+        )
     found = _try_detector(
         partial(
             detect_in_image,
@@ -233,7 +235,7 @@ def _look(image: Image, item: Item, chunk: Chunk, static: BoolArray | None) -> D
             elsewhere=False,  # what is there was found without a prediction
         )
     )
-    return found if isinstance(found, Finding) else _as_reflection(found, item)
+    return found if isinstance(found, Finding) else _mark_reflection(found, item)
 
 
 def _try_detector(detect: Callable[[], Detection]) -> Detection | Finding:
@@ -245,13 +247,13 @@ def _try_detector(detect: Callable[[], Detection]) -> Detection | Finding:
         return Finding("image_failed", {"error": f"{type(error).__name__}: {error}"})
 
 
-def _no_sun(method: Literal["disc", "paper"], exposure_us: float | None) -> Detection:
+def _make_no_sun(method: Literal["disc", "paper"], exposure_us: float | None) -> Detection:
     """Return the answer for an image in which the sun cannot be, by the method that would have looked for it."""
     outside = (Finding("sun_outside_image"),)
     return Detection(method=method, accepted=False, verdict="hidden", findings=outside, exposure_us=exposure_us)
 
 
-def _as_reflection(found: Detection, item: Item) -> Detection:
+def _mark_reflection(found: Detection, item: Item) -> Detection:
     """Return a detection; a reflection where nothing is at the prediction, and a sun was accepted elsewhere."""
     if item.expectation is None or item.found is None or found.x_px is not None or found.method != "paper":
         return found

@@ -71,10 +71,10 @@ def parse_zone(text: str) -> timedelta | None:
     if found["letters"]:
         hours = _ZONES.get(found["letters"])
         return None if hours is None else timedelta(hours=hours)
-    return _ahead(found)
+    return _parse_offset(found)
 
 
-def _ahead(found: re.Match[str]) -> timedelta | None:
+def _parse_offset(found: re.Match[str]) -> timedelta | None:
     """Return the time of a zone; None where no place's clocks are so far ahead."""
     minutes = 60 * int(found["hours"]) + int(found["minutes"] or 0)
     signed = -minutes if found["sign"] == "-" else minutes
@@ -100,27 +100,27 @@ class NameFamily(NamedTuple):
     ahead: timedelta | None
 
 
-def _family(name: str, pattern: str, ahead: timedelta | None = None) -> NameFamily:
+def _make_family(name: str, pattern: str, ahead: timedelta | None = None) -> NameFamily:
     return NameFamily(name, re.compile(pattern, re.ASCII), ahead)
 
 
 FAMILIES = (
-    _family(
+    _make_family(
         "ARM", r"^(\w+\.\w\d\.)(\d{4})(\d{2})(\d{2})\.(\d{2})(\d{2})(\d{2})()\.\w+(?:\.\d{14}\.\w+)?$", timedelta(0)
     ),
-    _family("RMS", r"^(FF_?\w+?_)(\d{4})(\d{2})(\d{2})_(\d{2})(\d{2})(\d{2})(_\d{3})_\d+\.", timedelta(0)),
-    _family("Allsky", rf"^(image-){_COMPACT}{_SUFFIX}"),
-    _family("indi-allsky", rf"^(ccd\d+_){_PARTED}{_SUFFIX}"),
+    _make_family("RMS", r"^(FF_?\w+?_)(\d{4})(\d{2})(\d{2})_(\d{2})(\d{2})(\d{2})(_\d{3})_\d+\.", timedelta(0)),
+    _make_family("Allsky", rf"^(image-){_COMPACT}{_SUFFIX}"),
+    _make_family("indi-allsky", rf"^(ccd\d+_){_PARTED}{_SUFFIX}"),
     # years of two digits: the date's order is that of the camera
-    _family("Axis", rf"^(image|snapshot)(\d\d)-(\d\d)-(\d\d)_(\d\d)-(\d\d)-(\d\d)(-\d\d)(?:_\d+)?{_SUFFIX}"),
-    _family(
+    _make_family("Axis", rf"^(image|snapshot)(\d\d)-(\d\d)-(\d\d)_(\d\d)-(\d\d)-(\d\d)(-\d\d)(?:_\d+)?{_SUFFIX}"),
+    _make_family(
         "Dahua",
         r"^((?:.*/)?)(\d{4})-(\d\d)-(\d\d)/(?:\d{3}/jpg|pic_\d{3})/(\d\d)[/.](\d\d)[/.](\d\d)()"
         r"\[[A-Z]+\]\[\d+@\d+\]\[\d+\]\.jpe?g$",
     ),
-    _family("EKO", rf"^(){_COMPACT}_1[12]{_SUFFIX}"),
-    _family("Eye2Sky", rf"^(){_PARTED}_\d+{_SUFFIX}"),
-    _family("SKIPP'D or TSI", rf"^(){_COMPACT}{_SUFFIX}"),
+    _make_family("EKO", rf"^(){_COMPACT}_1[12]{_SUFFIX}"),
+    _make_family("Eye2Sky", rf"^(){_PARTED}_\d+{_SUFFIX}"),
+    _make_family("SKIPP'D or TSI", rf"^(){_COMPACT}{_SUFFIX}"),
 )
 """Known families, the most specific first."""
 
@@ -130,14 +130,14 @@ def _match_family(path: str) -> NamedTime | None:
         match = family.pattern.search(path if "/" in family.pattern.pattern else PurePosixPath(path).name)
         if match is not None:
             prefix, year, *numbers, fraction = match.groups()
-            time = _time([year if len(year) == 4 else f"20{year}", *numbers])
+            time = _parse_numbers([year if len(year) == 4 else f"20{year}", *numbers])
             if time is not None:
                 time += timedelta(seconds=float(f"0.{fraction[1:] or 0}"))
                 return NamedTime(family.name, prefix, time, family.ahead)
     return None
 
 
-def _time(numbers: list[str]) -> datetime | None:
+def _parse_numbers(numbers: list[str]) -> datetime | None:
     """Return year to second as a time; None where they are no time of images."""
     try:
         time = datetime(*(int(number) for number in numbers))  # type: ignore[arg-type] # noqa: DTZ001 - of a name
@@ -179,60 +179,63 @@ def time_in_name(path: str) -> NamedTime | None:
     if named is not None:
         return named
     name = PurePosixPath(path).name
-    if _year_last(name) is not None:
+    if _find_year_last(name) is not None:
         return None
-    readings = _readings(name)
+    readings = _list_readings(name)
     return readings[0] if len({(one.time, one.ahead) for one in readings}) == 1 else None
 
 
 def ambiguous_times(name: str) -> tuple[str, str] | None:
     """Return two readings of a name that has more than one; None for others. A reading that is no time is "-"."""
-    last = _year_last(name)
+    last = _find_year_last(name)
     if last is not None:
         return _show_time(last[0]), _show_time(last[1])
-    found = list(dict.fromkeys(_show_time(one.time, one.ahead) for one in _readings(name)))
+    found = list(dict.fromkeys(_show_time(one.time, one.ahead) for one in _list_readings(name)))
     if len(found) > 1:
         return found[0], found[1]
-    return None if found else _short_year(name) or _since_1970(name)
+    return None if found else _find_short_year(name) or _find_epoch_digits(name)
 
 
-def _short_year(name: str) -> tuple[str, str] | None:
+def _find_short_year(name: str) -> tuple[str, str] | None:
     """Return a date whose year has two digits, the year first and the year last; None without one."""
     for match in _SHORT_YEAR.finditer(name):
         first, month, last, *clock = match.group(1, 3, 4, 5, 6, 7)
-        times = [_time([f"20{year}", month, day, *clock]) for year, day in ((first, last), (last, first))]
+        times = [_parse_numbers([f"20{year}", month, day, *clock]) for year, day in ((first, last), (last, first))]
         if any(times):
             return _show_time(times[0]), _show_time(times[1])
     return None
 
 
-def _since_1970(name: str) -> tuple[str, str] | None:
+def _find_epoch_digits(name: str) -> tuple[str, str] | None:
     """Return digits read as seconds or milliseconds since 1970, and as a date of ten digits; None without them."""
     digits = _SINCE_1970.search(name)
     if digits is None:
         return None
     at = datetime.fromtimestamp(int(digits[0][:10]), UTC).replace(tzinfo=None)
-    short = None if digits[6] else _time([f"20{digits[1]}", *digits.group(2, 3, 4, 5), "0"])
+    short = None if digits[6] else _parse_numbers([f"20{digits[1]}", *digits.group(2, 3, 4, 5), "0"])
     return _show_time(at), _show_time(short)
 
 
-def _year_last(name: str) -> tuple[datetime | None, datetime | None] | None:
+def _find_year_last(name: str) -> tuple[datetime | None, datetime | None] | None:
     """Return a date that ends with its year and its time, the day first and the month first; None without one.
 
     Digits before a year that begins a date and a time (`cam-10-12-2023-06-20-19-45-00`) are of something else.
     """
     for match in _YEAR_LAST.finditer(name):
         begun = _WHEN.match(name, match.start(3))
-        if begun is not None and _time(_numbers(begun)) is not None:
+        if begun is not None and _parse_numbers(_get_numbers(begun)) is not None:
             continue
         first, second, year, *clock = match.groups()
-        day_first, month_first = _time([year, second, first, *clock]), _time([year, first, second, *clock])
+        day_first, month_first = (
+            _parse_numbers([year, second, first, *clock]),
+            _parse_numbers([year, first, second, *clock]),
+        )
         if day_first is not None or month_first is not None:
             return day_first, month_first
     return None
 
 
-def _numbers(match: re.Match[str]) -> list[str]:
+def _get_numbers(match: re.Match[str]) -> list[str]:
     return [one for one in match.group(1, 3, 4, 6, 7, 8, 9, 10, 11) if one is not None]
 
 
@@ -242,18 +245,18 @@ def _show_time(time: datetime | None, ahead: timedelta | None = None) -> str:
     return (time if ahead is None else time.replace(tzinfo=UTC) - ahead).isoformat(timespec="seconds")
 
 
-def _readings(name: str) -> list[NamedTime]:
+def _list_readings(name: str) -> list[NamedTime]:
     """Return the possible readings of a name's dates and times, each with its rest read to the end."""
     found = list[NamedTime]()
     for match in _WHEN.finditer(name):
-        time, rest = _time(_numbers(match)), _REST.match(name, match.end())
+        time, rest = _parse_numbers(_get_numbers(match)), _REST.match(name, match.end())
         if time is None or rest is None:
             continue
         clock = [_apply_half_day(time, rest["half"])] if rest["half"] else [time]
         seconds = float(f"0.{match['run']}") if match["run"] else float("0." + (rest["fraction"] or "-0")[1:])
         iso = "T" in match["between"]
         for at in clock:
-            for ahead in _zones(rest, name, iso=iso):
+            for ahead in _list_zones(rest, name, iso=iso):
                 utc = ahead == timedelta(0)
                 family = "date and time, UTC" if utc else "date and time"
                 prefix = name[: match.start()]
@@ -269,7 +272,7 @@ def _apply_half_day(time: datetime, half: str) -> datetime | None:
     return time.replace(hour=time.hour % 12 + (12 if half in "Pp" else 0))
 
 
-def _zones(rest: re.Match[str], name: str, *, iso: bool) -> Iterator[timedelta | None]:
+def _list_zones(rest: re.Match[str], name: str, *, iso: bool) -> Iterator[timedelta | None]:
     """Yield the possible zones after a time (None: none is written), two where the end may be a number of images."""
     if rest["letters"]:
         yield timedelta(hours=_ZONES[rest["letters"]])
@@ -277,11 +280,11 @@ def _zones(rest: re.Match[str], name: str, *, iso: bool) -> Iterator[timedelta |
         if not _UNREAD_ZONE.match(name, rest.end()):
             yield None
     else:
-        yield from _signed_offsets(rest, iso=iso)
+        yield from _list_signed_offsets(rest, iso=iso)
 
 
-def _signed_offsets(rest: re.Match[str], *, iso: bool) -> Iterator[timedelta | None]:
-    ahead, whole = _ahead(rest), rest["minutes"] is not None and len(rest["hours"]) == 2
+def _list_signed_offsets(rest: re.Match[str], *, iso: bool) -> Iterator[timedelta | None]:
+    ahead, whole = _parse_offset(rest), rest["minutes"] is not None and len(rest["hours"]) == 2
     if rest["sign"] == "+":
         if ahead is not None:
             yield ahead

@@ -26,7 +26,7 @@ def by_date(addresses: Sequence[str]) -> list[tuple[str, tuple[str, ...]]]:
     """
     alike: dict[str, list[str]] = defaultdict(list)
     for address in addresses:
-        alike[_undated(address)].append(address)
+        alike[_remove_date(address)].append(address)
     found = list[tuple[str, tuple[str, ...]]]()
     for undated, members in alike.items():
         if len(set(members)) > 1:
@@ -36,7 +36,7 @@ def by_date(addresses: Sequence[str]) -> list[tuple[str, tuple[str, ...]]]:
     return found
 
 
-def _undated(address: str) -> str:
+def _remove_date(address: str) -> str:
     """Return an address without its last date; of a relative path the absolute one, whose folder names the camera."""
     whole = address if "://" in address else str(Path(address).absolute())
     dates = list(_DATE.finditer(whole))

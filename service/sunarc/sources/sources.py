@@ -56,7 +56,7 @@ class Folder:
 
     def files(self) -> Iterator[SourceFile]:
         """Yield all files below it; stamped with the time of their last change."""
-        root, folder = Path(name_path(self.address)), self._root
+        root, folder = Path(name_path(self.address)), self._find_root
         for path in [root] if root.is_file() else sorted(root.rglob("*")):
             with suppress(OSError):  # it is gone again
                 state = path.stat()
@@ -69,10 +69,10 @@ class Folder:
 
     def path(self, name: str) -> Path:
         """Return where a file is."""
-        return self._root / name_path(name)
+        return self._find_root / name_path(name)
 
     @property
-    def _root(self) -> Path:
+    def _find_root(self) -> Path:
         root = Path(name_path(self.address))
         return root.parent if root.is_file() else root
 

@@ -48,7 +48,10 @@ def netpbm_frames(file: BinaryIO, name: str) -> list[FileImage]:
     ------
     FindingError : it is invalid, ends within an image, or has several that state no times.
     """
-    frames = [_stated_frame(number, header["comments"]) for number, (header, _) in enumerate(_parts(file, name))]
+    frames = [
+        _parse_frame_comments(number, header["comments"])
+        for number, (header, _) in enumerate(_split_netpbm(file, name))
+    ]
     if len(frames) > 1 and any(one.time is None for one in frames):
         raise FindingError(name, Finding("file_animated", {"frames": len(frames)}))
     return frames
@@ -58,7 +61,7 @@ def netpbm_images(
     file: BinaryIO, name: str, numbers: Sequence[int], *, size: tuple[int, int] | None
 ) -> Iterator[tuple[int, Image]]:
     """Yield images of a PGM or PPM file by their numbers."""
-    for number, (header, image) in enumerate(_parts(file, name)):
+    for number, (header, image) in enumerate(_split_netpbm(file, name)):
         if number in numbers:
             require_size(image.shape, name, size)
             if header["magic"] in b"63":  # RGB
@@ -69,7 +72,7 @@ def netpbm_images(
     raise FindingError(name, Finding("file_truncated"))
 
 
-def _parts(file: BinaryIO, name: str) -> Iterator[tuple[re.Match[bytes], Image]]:
+def _split_netpbm(file: BinaryIO, name: str) -> Iterator[tuple[re.Match[bytes], Image]]:
     """Yield each image with its header; bytes after the last one that are no image are passed over."""
     left = b""
     for number in range(_MOST_IMAGES):
@@ -82,7 +85,7 @@ def _parts(file: BinaryIO, name: str) -> Iterator[tuple[re.Match[bytes], Image]]
         if header["magic"] in _TEXT:
             yield header, _parse_text_image(header, left + file.read(), name)
             return
-        image = _empty(header, name)
+        image = _allocate_image(header, name)
         pixels = image.reshape(-1).view(np.uint8).data
         have = left[header.end() : header.end() + len(pixels)]
         pixels[: len(have)] = have
@@ -97,7 +100,7 @@ _TEXT = (b"2", b"3")
 
 def _parse_text_image(header: re.Match[bytes], content: bytes, name: str) -> Image:
     """Return the image of a file whose counts are written as text."""
-    image = _empty(header, name)
+    image = _allocate_image(header, name)
     letters = np.frombuffer(content, np.uint8)[header.end() :]
     is_digit = (letters >= ord("0")) & (letters <= ord("9"))
     is_space = (letters == ord(" ")) | ((letters >= ord("\t")) & (letters <= ord("\r")))
@@ -112,7 +115,7 @@ def _parse_text_image(header: re.Match[bytes], content: bytes, name: str) -> Ima
     return image
 
 
-def _empty(header: re.Match[bytes], name: str) -> Image:
+def _allocate_image(header: re.Match[bytes], name: str) -> Image:
     """Return room for the image of a header: rows, columns and three colours of a PPM."""
     rows, columns, top = int(header["height"]), int(header["width"]), int(header["top"])
     if not 1 <= top < 1 << 16 or 0 in {rows, columns}:
@@ -123,11 +126,11 @@ def _empty(header: re.Match[bytes], name: str) -> Image:
     return np.empty(shape, np.uint8) if top <= np.iinfo(np.uint8).max else np.empty(shape, np.uint16)
 
 
-def _stated_frame(number: int, comments: bytes) -> FileImage:
+def _parse_frame_comments(number: int, comments: bytes) -> FileImage:
     requested, exposure = _REQUEST.search(comments), _EXPOSURE.search(comments)
     try:
         exposure_us = None if exposure is None else 1e3 * float(exposure[1]) or None
-        start = None if requested is None else _image_request(requested[1].decode(errors="replace"))
+        start = None if requested is None else _parse_request_time(requested[1].decode(errors="replace"))
     except ValueError:
         return FileImage(number)
     return FileImage(
@@ -135,7 +138,7 @@ def _stated_frame(number: int, comments: bytes) -> FileImage:
     )
 
 
-def _image_request(text: str) -> datetime:
+def _parse_request_time(text: str) -> datetime:
     """Return the beginning of an exposure as an aurora imager states it, as "2013-05-13 12:30:00.017 UTC"."""
     return datetime.fromisoformat(text.strip().removesuffix("UTC").strip()).replace(tzinfo=UTC)
 
@@ -164,7 +167,7 @@ def netcdf_frames(file: Path | bytes, name: str) -> list[FileImage]:
     ------
     FindingError : it is invalid, has no images, or no times in UTC.
     """
-    with _hdf5_stack(file, name) as stack:
+    with _open_hdf5(file, name) as stack:
         return [FileImage(number, time) for number, time in enumerate(stack.times())]
 
 
@@ -172,31 +175,31 @@ def netcdf_images(
     file: Path | bytes, name: str, numbers: Sequence[int], *, size: tuple[int, int] | None
 ) -> Iterator[tuple[int, Image | Finding]]:
     """Yield images of a NetCDF file by their numbers."""
-    with _hdf5_stack(file, name) as stack:
+    with _open_hdf5(file, name) as stack:
         require_size(stack.shape, name, size)
         for number in numbers:
             yield number, stack.image(number)
 
 
 @contextmanager
-def _hdf5_stack(file: Path | bytes, name: str) -> Iterator[_Stack]:
+def _open_hdf5(file: Path | bytes, name: str) -> Iterator[_Stack]:
     """Open a file; by h5py first, since h5netcdf prints a trace of its own where that fails."""
     hdf5, netcdf = extra_module("h5py", extra="netcdf"), extra_module("h5netcdf", extra="netcdf")
     with refusing(name, "no NetCDF-4 or HDF5 file by h5py"):
         content = io.BytesIO(file) if isinstance(file, bytes) else open_regular(file)
         with content, hdf5.File(content, "r") as raw:
             if set(raw.get("data", ())) >= _TREX:
-                yield _trex_stack(raw["data"]["images"], raw["data"]["timestamp"])
+                yield _make_trex_stack(raw["data"]["images"], raw["data"]["timestamp"])
             else:
                 with netcdf.File(raw, "r") as opened:
-                    yield _netcdf_stack(opened, name)
+                    yield _make_netcdf_stack(opened, name)
 
 
 _TREX = {"images", "timestamp"}
 _TREX_AXES = (2, 0, 1)
 
 
-def _trex_stack(images: Any, timestamps: Any) -> _Stack:  # noqa: ANN401 - h5py's data sets
+def _make_trex_stack(images: Any, timestamps: Any) -> _Stack:  # noqa: ANN401 - h5py's data sets
     """Return the images (rows, columns, 3[, time]) of a file of TREx's colour cameras, whose times are texts in UTC."""
 
     def image(number: int) -> Image:
@@ -205,15 +208,15 @@ def _trex_stack(images: Any, timestamps: Any) -> _Stack:  # noqa: ANN401 - h5py'
 
     def times() -> list[datetime]:
         written = np.atleast_1d(timestamps[()])
-        return [_image_request(_text(one)) for one in written.tolist()]
+        return [_parse_request_time(_decode_text(one)) for one in written.tolist()]
 
     if images.dtype not in _COUNTS or images.ndim not in {3, 4} or images.shape[2] != 3:
         raise ValueError("no colours of 8 or 16 bits")
     return _Stack(times, images.shape[:2], image)
 
 
-def _netcdf_stack(opened: Any, name: str) -> _Stack:  # noqa: ANN401 - h5netcdf's file
-    images = _netcdf_images(opened, name)
+def _make_netcdf_stack(opened: Any, name: str) -> _Stack:  # noqa: ANN401 - h5netcdf's file
+    images = _find_netcdf_images(opened, name)
 
     def image(number: int) -> Image:
         found = np.asarray(images[number])
@@ -222,14 +225,14 @@ def _netcdf_stack(opened: Any, name: str) -> _Stack:  # noqa: ANN401 - h5netcdf'
 
     def times() -> list[datetime]:
         coordinate = opened.variables[images.dimensions[0]]
-        begin, unit_s = _units(str(_text(coordinate.attrs.get("units", ""))), name)
+        begin, unit_s = _parse_time_units(str(_decode_text(coordinate.attrs.get("units", ""))), name)
         values = np.asarray(coordinate[...], dtype=np.float64)
         return [begin + timedelta(seconds=unit_s * float(value)) for value in values.tolist()]
 
     return _Stack(times, images.shape[1:3], image)
 
 
-def _netcdf_images(opened: Any, name: str) -> Any:  # noqa: ANN401 - h5netcdf's variables
+def _find_netcdf_images(opened: Any, name: str) -> Any:  # noqa: ANN401 - h5netcdf's variables
     found = [
         variable
         for variable in opened.variables.values()
@@ -243,7 +246,7 @@ def _netcdf_images(opened: Any, name: str) -> Any:  # noqa: ANN401 - h5netcdf's 
     return max(found, key=lambda variable: int(np.prod(variable.shape)))
 
 
-def _units(units: str, name: str) -> tuple[datetime, float]:
+def _parse_time_units(units: str, name: str) -> tuple[datetime, float]:
     match = _UNITS.match(units.strip())
     if match is None or match[1] not in _SECONDS:
         raise FindingError(name, Finding("file_time_units", {"units": units}))
@@ -255,7 +258,7 @@ def _units(units: str, name: str) -> tuple[datetime, float]:
         raise FindingError(name, Finding("file_time_units", {"units": units})) from None
 
 
-def _text(value: object) -> str:
+def _decode_text(value: object) -> str:
     return value.decode() if isinstance(value, bytes) else str(value)
 
 
@@ -281,14 +284,14 @@ def video_frames(file: Path | bytes, name: str, *, sidecar: bytes | None) -> lis
     ------
     FindingError : it is no video, or nothing states when its images were taken.
     """
-    with _video(file, name) as video:
+    with _open_video(file, name) as video:
         count = int(video.get(cv2.CAP_PROP_FRAME_COUNT))
         rate = float(video.get(cv2.CAP_PROP_FPS))
     if not 1 <= count <= min(_MOST_FRAMES, len(file) if isinstance(file, bytes) else file.stat().st_size):
         raise unreadable(name, f"no video: it states {count} frames")
     if sidecar is not None:
-        times = _sidecar_times(sidecar, name, count)
-    elif rate > 0.0 and 1.0 / rate >= _REAL_TIME_S and (created := _created(file)) is not None:
+        times = _parse_sidecar_times(sidecar, name, count)
+    elif rate > 0.0 and 1.0 / rate >= _REAL_TIME_S and (created := _read_creation_time(file)) is not None:
         with refusing(name, "no video whose times are known"):
             times = [created + timedelta(seconds=number / rate) for number in range(count)]
     else:
@@ -301,7 +304,7 @@ def video_images(
 ) -> Iterator[tuple[int, Image | Finding]]:
     """Yield frames of a video by their numbers; it is decoded from its beginning, since seeking misses frames."""
     wanted = set(numbers)
-    with _video(file, name) as video:
+    with _open_video(file, name) as video:
         for number in range(max(numbers) + 1):
             done = video.grab()
             if number not in wanted:
@@ -315,8 +318,8 @@ def video_images(
 
 
 @contextmanager
-def _video(file: Path | bytes, name: str) -> Iterator[cv2.VideoCapture]:
-    with _path(file, name) as path:
+def _open_video(file: Path | bytes, name: str) -> Iterator[cv2.VideoCapture]:
+    with _provide_path(file, name) as path:
         video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
         try:
             if not video.isOpened():
@@ -327,24 +330,24 @@ def _video(file: Path | bytes, name: str) -> Iterator[cv2.VideoCapture]:
 
 
 @contextmanager
-def _path(file: Path | bytes, name: str) -> Iterator[Path]:
+def _provide_path(file: Path | bytes, name: str) -> Iterator[Path]:
     """Give a path of a file that is open; one within an archive is laid into memory, never onto the disk."""
     try:
-        opened = open_regular(file) if isinstance(file, Path) else _in_memory(file)
+        opened = open_regular(file) if isinstance(file, Path) else _write_memory_file(file)
     except OSError as error:
         raise not_read(name, error) from None
     with opened:
         yield Path(f"/proc/self/fd/{opened.fileno()}")
 
 
-def _in_memory(content: bytes) -> BinaryIO:
+def _write_memory_file(content: bytes) -> BinaryIO:
     file = os.fdopen(os.memfd_create("video"), "w+b")
     file.write(content)
     file.flush()
     return file
 
 
-def _sidecar_times(text: bytes, name: str, count: int) -> list[datetime]:
+def _parse_sidecar_times(text: bytes, name: str, count: int) -> list[datetime]:
     try:
         sidecar = json.loads(text)
         if "times_utc" in sidecar:
@@ -360,7 +363,7 @@ def _sidecar_times(text: bytes, name: str, count: int) -> list[datetime]:
     return times
 
 
-def _created(file: Path | bytes) -> datetime | None:
+def _read_creation_time(file: Path | bytes) -> datetime | None:
     """Return when a container says that its recording began: the `mvhd` box; None where it does not say."""
     try:
         content = file if isinstance(file, bytes) else read_regular(file)

@@ -59,21 +59,21 @@ class TimePattern(NamedTuple):
             return None
         texts = list(zip(self.letters, found.groups(), strict=True))
         try:
-            return _epoch(dict(texts)) if "s" in self.letters else _local(texts)
+            return _parse_epoch_seconds(dict(texts)) if "s" in self.letters else _parse_local_time(texts)
         except (ValueError, OverflowError):
             return None
 
 
-def _epoch(texts: dict[str, str]) -> tuple[datetime, timedelta]:
+def _parse_epoch_seconds(texts: dict[str, str]) -> tuple[datetime, timedelta]:
     digits = texts["s"]
     seconds = int(digits[:10]) + float(f"0.{digits[10:] or texts.get('f', '0')}")
     return (EPOCH + timedelta(seconds=seconds)).replace(tzinfo=None), timedelta(0)
 
 
-def _local(texts: list[tuple[str, str]]) -> tuple[datetime, timedelta | None] | None:
+def _parse_local_time(texts: list[tuple[str, str]]) -> tuple[datetime, timedelta | None] | None:
     first = {letter: text for letter, text in reversed(texts) if letter not in "zZ"}
     time = datetime.strptime("\n".join(first.values()), "\n".join(f"%{letter}" for letter in first))  # noqa: DTZ007 - its zone is beside it
-    if not all(_agrees(time, letter, text) for letter, text in texts):
+    if not all(_agrees_with_time(time, letter, text) for letter, text in texts):
         return None
     zones = [parse_zone(text) for letter, text in texts if letter in "zZ"]
     if None in zones or len(set(zones)) > 1:
@@ -81,7 +81,7 @@ def _local(texts: list[tuple[str, str]]) -> tuple[datetime, timedelta | None] | 
     return time, zones[0] if zones else None
 
 
-def _agrees(time: datetime, letter: str, text: str) -> bool:
+def _agrees_with_time(time: datetime, letter: str, text: str) -> bool:
     """Return whether a part of a path is that of a time: of two parts that state a date one may be another date."""
     if letter in "fzZ":
         return True
@@ -107,16 +107,16 @@ def time_pattern(text: str) -> TimePattern:
     if unknown:
         raise ValueError(f"%{unknown[0]} is not one of {', '.join('%' + one for one in DIRECTIVES)}")
     letters = "".join(token[0] for token in tokens if token[0] != "%")
-    _require_whole(set(letters))
+    _require_complete_time(set(letters))
     around = [("", "", "^"), *tokens, ("", "", "$")]
-    pieces = [_piece(before, token, after) for (before, token), (_, after) in pairwise(pairwise(around))]
+    pieces = [_make_regex_part(before, token, after) for (before, token), (_, after) in pairwise(pairwise(around))]
     return TimePattern(text.count("/") + 1, letters, re.compile("".join(pieces), re.ASCII | re.IGNORECASE))
 
 
 _Token = tuple[str, ...]
 
 
-def _piece(before: _Token, token: _Token, after: _Token) -> str:
+def _make_regex_part(before: _Token, token: _Token, after: _Token) -> str:
     """Return the regular expression of a part of a pattern."""
     letter, any_letters, literal = token
     if literal or letter == "%":
@@ -130,7 +130,7 @@ def _piece(before: _Token, token: _Token, after: _Token) -> str:
     return (f"(?<!{like})" if before[1] else "") + f"({expression})" + (f"(?!{like})" if after[1] else "")
 
 
-def _require_whole(letters: set[str]) -> None:
+def _require_complete_time(letters: set[str]) -> None:
     if "s" in letters:
         if letters - set("sf"):
             raise ValueError("%s is the whole time; leave out the other directives, or write * for them")

@@ -108,15 +108,15 @@ class PartsResponse(Response):
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:  # noqa: ARG002 - the protocol's
         """Send the answer."""
         await send({"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers})
-        async for part in self._made():
+        async for part in self._make_parts():
             await send({"type": "http.response.body", "body": part, "more_body": True})
         await send({"type": "http.response.body", "body": b"", "more_body": False})
 
-    async def _made(self) -> AsyncIterator[bytes | memoryview]:
+    async def _make_parts(self) -> AsyncIterator[bytes | memoryview]:
         coming: list[asyncio.Task[bytes | memoryview]] = []
         try:
             for part in self._parts:
-                coming.append(asyncio.create_task(self._make(part)))
+                coming.append(asyncio.create_task(self._make_part(part)))
                 if len(coming) > _AHEAD:
                     yield await coming.pop(0)
             while coming:
@@ -125,7 +125,7 @@ class PartsResponse(Response):
             for task in coming:
                 task.cancel()
 
-    async def _make(self, part: Callable[[], bytes | memoryview]) -> bytes | memoryview:
+    async def _make_part(self, part: Callable[[], bytes | memoryview]) -> bytes | memoryview:
         async with self._slot():
             return await run_in_threadpool(part)
 
@@ -144,7 +144,7 @@ def rows_response(
     Its shape is (n, `width`), the one answer's; with `draws` it is (draws, n, `width`), one answer after the other.
     """
     shape = (draws, rows.shape[0], width) if draws else (rows.shape[0], width)
-    start = _header(rows.dtype, shape)
+    start = _make_npy_header(rows.dtype, shape)
     chunks = [rows[begin : begin + _CHUNK] for begin in range(0, len(rows), _CHUNK)]
 
     def made(answer: Callable[[Rows], Rows], chunk: Rows) -> memoryview:
@@ -164,7 +164,7 @@ def bytes_ahead(rows: Rows, width: int) -> int:
     return min(len(rows), (_AHEAD + 1) * _CHUNK) * width * rows.dtype.itemsize
 
 
-def _header(dtype: np.dtype[np.floating], shape: tuple[int, ...]) -> bytes:
+def _make_npy_header(dtype: np.dtype[np.floating], shape: tuple[int, ...]) -> bytes:
     stream = io.BytesIO()
     npy.write_array_header_1_0(stream, {"descr": npy.dtype_to_descr(dtype), "fortran_order": False, "shape": shape})
     return stream.getvalue()
@@ -250,16 +250,16 @@ def read_npy_header(body: bytes) -> NpyHeader:
         text = body[start : start + length].decode("ascii")
     except UnicodeDecodeError:
         raise NpyHeaderError("has a header that is not of a plain array") from None
-    found = _dictionary(text)
+    found = _parse_dictionary(text)
     return NpyHeader(
         descr=found["descr"],
         fortran_order=found["fortran_order"] == "True",
-        shape=_shape(found["shape"]),
+        shape=_parse_shape(found["shape"]),
         offset=start + length,
     )
 
 
-def _dictionary(text: str) -> dict[str, str]:
+def _parse_dictionary(text: str) -> dict[str, str]:
     """Return the three entries as they are written; in any order, as the format's definition allows."""
     found: dict[str, str] = {}
     if not text.startswith("{"):
@@ -280,7 +280,7 @@ def _dictionary(text: str) -> dict[str, str]:
     return found
 
 
-def _shape(text: str) -> tuple[int, ...]:
+def _parse_shape(text: str) -> tuple[int, ...]:
     """Return the lengths; "3" alone, without its comma, is a number and no shape."""
     lengths = tuple(int(part) for part in text.split(",") if part.strip())
     if (len(lengths) == 1 and "," not in text) or len(lengths) > _MAX_DIMENSIONS or text.strip() == ",":
@@ -315,7 +315,7 @@ def parsed_body(model: type[RequestModel], body: bytes, *, most: int, named: str
     """
     parts = _parts(model, body)
     for name, part in parts.items():
-        require_few(_count(bytes(part)), most=most, field=named or name)
+        require_few(_count_rows(bytes(part)), most=most, field=named or name)
     separated = [(b",", json.dumps(name).encode(), b":", part) for name, part in parts.items()]
     bounded = b"".join([b"{", *[*chain.from_iterable(separated)][1:], b"}"])  # the one copy
     try:
@@ -328,22 +328,22 @@ def parsed_body(model: type[RequestModel], body: bytes, *, most: int, named: str
 def _parts(model: type[BaseModel], body: bytes) -> dict[str, msgspec.Raw]:
     """Return the JSON text of each field that a body has."""
     try:
-        return _split(model, body)
+        return _split_fields(model, body)
     except msgspec.ValidationError:
-        raise _refusal("model_type") from None
+        raise _make_refusal("model_type") from None
     except (msgspec.DecodeError, RecursionError):
         # NaN is no JSON, and yet named by its place: as a number that is too large
         text = body
         for word in _NOT_FINITE:
             text = text.replace(word, b"1e999")
         if text == body:
-            raise _refusal("json_invalid") from None
+            raise _make_refusal("json_invalid") from None
     return _parts(model, text)
 
 
-def _split(model: type[BaseModel], body: bytes) -> dict[str, msgspec.Raw]:
+def _split_fields(model: type[BaseModel], body: bytes) -> dict[str, msgspec.Raw]:
     """Return the text of each field, and null for the first name that is no field; no value is made."""
-    strict, lenient = _readers(model)
+    strict, lenient = _make_readers(model)
     unknown: dict[str, msgspec.Raw] = {}
     try:
         found = strict.decode(body)
@@ -357,7 +357,7 @@ def _split(model: type[BaseModel], body: bytes) -> dict[str, msgspec.Raw]:
 
 
 @cache
-def _readers(model: type[BaseModel]) -> tuple[msgspec.json.Decoder[Any], msgspec.json.Decoder[Any]]:
+def _make_readers(model: type[BaseModel]) -> tuple[msgspec.json.Decoder[Any], msgspec.json.Decoder[Any]]:
     """Return the readers that split a body into a model's fields: one refuses other names, one skips them."""
     fields = [(name, msgspec.Raw | msgspec.UnsetType, msgspec.UNSET) for name in model.model_fields]
     kinds = (msgspec.defstruct(model.__name__, fields, forbid_unknown_fields=strict) for strict in (True, False))
@@ -365,11 +365,11 @@ def _readers(model: type[BaseModel]) -> tuple[msgspec.json.Decoder[Any], msgspec
     return strict, lenient
 
 
-def _count(part: bytes) -> int:
+def _count_rows(part: bytes) -> int:
     """Return the number of a field's rows: its lists, or its values where they are more than rows have."""
     n_rows, n_values = part.count(b"[") - 1, part.count(b",") + 1
     return n_rows if n_rows > 0 and n_values <= _WIDEST * n_rows else n_values
 
 
-def _refusal(kind: str) -> RequestValidationError:
+def _make_refusal(kind: str) -> RequestValidationError:
     return RequestValidationError([{"type": kind, "loc": ("body",), "msg": ""}])

@@ -72,9 +72,9 @@ class FakeCamera:
 
     def request(self) -> Request:
         """Return the settings of a frame that is triggered now."""
-        return Request(self.read(EXPOSURE), self.read(GAIN), self.read(PIXEL_FORMAT), self._region())
+        return Request(self.read(EXPOSURE), self.read(GAIN), self.read(PIXEL_FORMAT), self._read_region())
 
-    def _region(self) -> tuple[int, int, int, int]:
+    def _read_region(self) -> tuple[int, int, int, int]:
         """Return x, y, width and height."""
         x, y, width, height = map(self.read, (OFFSET_X, OFFSET_Y, WIDTH, HEIGHT))
         return x, y, width, height
@@ -92,19 +92,19 @@ class FakeCamera:
         raises is logged, and the frame is left as it is.
         """
 
-        def called(buffer: int, _: object, exposure_us: int, gain_steps: int, pixel_format: int) -> None:
+        def answer_while_open(buffer: int, _: object, exposure_us: int, gain_steps: int, pixel_format: int) -> None:
             with self._lock:
                 if not self._closed:
-                    answer(buffer, exposure_us, gain_steps, pixel_format)
+                    render_into_buffer(buffer, exposure_us, gain_steps, pixel_format)
 
-        def answer(buffer: int, exposure_us: int, gain_steps: int, pixel_format: int) -> None:
+        def render_into_buffer(buffer: int, exposure_us: int, gain_steps: int, pixel_format: int) -> None:
             try:
-                request = Request(exposure_us, gain_steps, pixel_format, self._region())
+                request = Request(exposure_us, gain_steps, pixel_format, self._read_region())
                 self._write_frame(buffer, *fill(request))
             except Exception:  # noqa: BLE001 - nothing may pass through the C frames above
                 _log.exception("a frame could not be rendered")
 
-        self._callback = _FILL(called)  # kept for as long as the library may call it
+        self._callback = _FILL(answer_while_open)  # kept for as long as the library may call it
         self._library.arv_fake_camera_set_fill_pattern(self._camera, self._callback, None, None)
 
     def close(self) -> None:
@@ -137,7 +137,7 @@ def fake_camera(*, address: str, serial: str, description: str) -> Iterator[Fake
     OutsideError
         The port is taken, or no interface has the address.
     """
-    library = _load()
+    library = _load_aravis()
     _require_free_port(address)
     with TemporaryDirectory(prefix="sunarc-imager-") as folder:
         path = Path(folder) / "xml"
@@ -172,7 +172,7 @@ def _require_free_port(address: str) -> None:
             ) from None
 
 
-def _load() -> ctypes.CDLL:
+def _load_aravis() -> ctypes.CDLL:
     try:
         library = ctypes.CDLL("libaravis-0.8.so.0")
     except OSError:
@@ -248,28 +248,28 @@ class Feature:
 
 def genicam_xml(*, exposure_min_us: int, exposure_max_us: int, trigger: int = TRIGGER_SOFTWARE) -> str:
     """Return the description of a camera with these exposure bounds; `trigger` is the register of its trigger."""
-    acquisition = _acquisition(exposure_min_us, exposure_max_us, trigger=trigger)
-    features = [*_identity(), *_image_format(), *acquisition, *_faults()]
+    acquisition = _make_acquisition_features(exposure_min_us, exposure_max_us, trigger=trigger)
+    features = [*_make_identity_features(), *_make_image_features(), *acquisition, *_make_fault_features()]
     categories: dict[str, list[str]] = {}
     for feature in features:
         categories.setdefault(feature.category, []).append(feature.name)
-    parts = [_HEADER, _category("Root", list(categories))]
-    parts += [_category(name, members) for name, members in categories.items()]
+    parts = [_HEADER, _format_category("Root", list(categories))]
+    parts += [_format_category(name, members) for name, members in categories.items()]
     parts += [feature.nodes for feature in features]
     return "\n".join([*parts, '<Port Name="Device"/>', "</RegisterDescription>", ""])
 
 
-def _identity() -> list[Feature]:
-    temperature = _scaled("DeviceTemperature", TEMPERATURE, steps=TEMPERATURE_STEPS_PER_DEGREE, low=-99, high=99)
+def _make_identity_features() -> list[Feature]:
+    temperature = _format_scaled("DeviceTemperature", TEMPERATURE, steps=TEMPERATURE_STEPS_PER_DEGREE, low=-99, high=99)
     return [
-        _string("DeviceVendorName", VENDOR, 32),
-        _string("DeviceModelName", MODEL, 32),
-        _string("DeviceSerialNumber", SERIAL, 16),
+        _make_string("DeviceVendorName", VENDOR, 32),
+        _make_string("DeviceModelName", MODEL, 32),
+        _make_string("DeviceSerialNumber", SERIAL, 16),
         Feature(name="DeviceTemperature", category="DeviceControl", nodes=temperature),
     ]
 
 
-def _image_format() -> list[Feature]:
+def _make_image_features() -> list[Feature]:
     category = "ImageFormatControl"
     payload = (
         '<IntSwissKnife Name="PayloadSize"><pVariable Name="W">Width</pVariable><pVariable Name="H">Height</pVariable>'
@@ -277,96 +277,96 @@ def _image_format() -> list[Feature]:
         "</IntSwissKnife>"
     )
     return [
-        _integer("SensorWidth", SENSOR_WIDTH, category),
-        _integer("SensorHeight", SENSOR_HEIGHT, category),
-        _integer("BinningHorizontal", BINNING_X, category, "<Min>1</Min><Max>4</Max>"),
-        _integer("BinningVertical", BINNING_Y, category, "<Min>1</Min><Max>4</Max>"),
-        _quotient("WidthMax", "SensorWidth", "BinningHorizontal", category),
-        _quotient("HeightMax", "SensorHeight", "BinningVertical", category),
-        _integer("Width", WIDTH, category, "<Min>1</Min><pMax>WidthMax</pMax>"),
-        _integer("Height", HEIGHT, category, "<Min>1</Min><pMax>HeightMax</pMax>"),
-        _integer("OffsetX", OFFSET_X, category, "<Min>0</Min><pMax>WidthMax</pMax>"),
-        _integer("OffsetY", OFFSET_Y, category, "<Min>0</Min><pMax>HeightMax</pMax>"),
-        _enumeration("PixelFormat", PIXEL_FORMAT, category, PIXEL_FORMATS),
+        _make_integer("SensorWidth", SENSOR_WIDTH, category),
+        _make_integer("SensorHeight", SENSOR_HEIGHT, category),
+        _make_integer("BinningHorizontal", BINNING_X, category, "<Min>1</Min><Max>4</Max>"),
+        _make_integer("BinningVertical", BINNING_Y, category, "<Min>1</Min><Max>4</Max>"),
+        _make_quotient("WidthMax", "SensorWidth", "BinningHorizontal", category),
+        _make_quotient("HeightMax", "SensorHeight", "BinningVertical", category),
+        _make_integer("Width", WIDTH, category, "<Min>1</Min><pMax>WidthMax</pMax>"),
+        _make_integer("Height", HEIGHT, category, "<Min>1</Min><pMax>HeightMax</pMax>"),
+        _make_integer("OffsetX", OFFSET_X, category, "<Min>0</Min><pMax>WidthMax</pMax>"),
+        _make_integer("OffsetY", OFFSET_Y, category, "<Min>0</Min><pMax>HeightMax</pMax>"),
+        _make_enumeration("PixelFormat", PIXEL_FORMAT, category, PIXEL_FORMATS),
         Feature(name="PayloadSize", category="TransportLayerControl", nodes=payload),
     ]
 
 
-def _acquisition(exposure_min_us: int, exposure_max_us: int, *, trigger: int) -> list[Feature]:
+def _make_acquisition_features(exposure_min_us: int, exposure_max_us: int, *, trigger: int) -> list[Feature]:
     category = "AcquisitionControl"
-    exposure = _scaled("ExposureTime", EXPOSURE, steps=1, low=exposure_min_us, high=exposure_max_us)
+    exposure = _format_scaled("ExposureTime", EXPOSURE, steps=1, low=exposure_min_us, high=exposure_max_us)
     selector = (
         '<Enumeration Name="TriggerSelector"><EnumEntry Name="FrameStart"><Value>0</Value></EnumEntry>'
         "<pValue>TriggerSelectorValue</pValue></Enumeration>"
         '<Integer Name="TriggerSelectorValue"><Value>0</Value></Integer>'
     )
     return [
-        _enumeration("AcquisitionMode", 0x12C, category, {"Continuous": 1, "SingleFrame": 2, "MultiFrame": 3}),
-        _command("AcquisitionStart", ACQUISITION, category, 1),
-        _command("AcquisitionStop", ACQUISITION, category, 0),
+        _make_enumeration("AcquisitionMode", 0x12C, category, {"Continuous": 1, "SingleFrame": 2, "MultiFrame": 3}),
+        _make_command("AcquisitionStart", ACQUISITION, category, 1),
+        _make_command("AcquisitionStop", ACQUISITION, category, 0),
         Feature(name="TriggerSelector", category=category, nodes=selector),
-        _enumeration("TriggerMode", TRIGGER_MODE, category, {"Off": 0, "On": 1}),
-        _enumeration("TriggerSource", TRIGGER_SOURCE, category, {"Line0": 0, "Software": 1}),
-        _enumeration("TriggerActivation", 0x308, category, {"RisingEdge": 0}),
-        _command("TriggerSoftware", trigger, category, 1),
+        _make_enumeration("TriggerMode", TRIGGER_MODE, category, {"Off": 0, "On": 1}),
+        _make_enumeration("TriggerSource", TRIGGER_SOURCE, category, {"Line0": 0, "Software": 1}),
+        _make_enumeration("TriggerActivation", 0x308, category, {"RisingEdge": 0}),
+        _make_command("TriggerSoftware", trigger, category, 1),
         Feature(name="ExposureTime", category=category, nodes=exposure),
-        _enumeration("ExposureMode", EXPOSURE_MODE, category, {"Timed": 0, "TriggerWidth": 1}),
-        _enumeration("ExposureAuto", EXPOSURE_AUTO, category, {"Off": 0, "Continuous": 1}),
-        _boolean("AcquisitionFrameRateEnable", FRAME_RATE, category),
+        _make_enumeration("ExposureMode", EXPOSURE_MODE, category, {"Timed": 0, "TriggerWidth": 1}),
+        _make_enumeration("ExposureAuto", EXPOSURE_AUTO, category, {"Off": 0, "Continuous": 1}),
+        _make_boolean("AcquisitionFrameRateEnable", FRAME_RATE, category),
         Feature(
             name="Gain",
             category="AnalogControl",
-            nodes=_scaled("Gain", GAIN, steps=GAIN_STEPS_PER_DB, low=0, high=24),
+            nodes=_format_scaled("Gain", GAIN, steps=GAIN_STEPS_PER_DB, low=0, high=24),
         ),
-        _enumeration("GainAuto", GAIN_AUTO, "AnalogControl", {"Off": 0, "Continuous": 1}),
-        _integer("BlackLevelRaw", BLACK_LEVEL, "AnalogControl", "<Min>0</Min><Max>255</Max>"),
-        _boolean("GammaEnable", GAMMA, "AnalogControl"),
+        _make_enumeration("GainAuto", GAIN_AUTO, "AnalogControl", {"Off": 0, "Continuous": 1}),
+        _make_integer("BlackLevelRaw", BLACK_LEVEL, "AnalogControl", "<Min>0</Min><Max>255</Max>"),
+        _make_boolean("GammaEnable", GAMMA, "AnalogControl"),
     ]
 
 
-def _faults() -> list[Feature]:
+def _make_fault_features() -> list[Feature]:
     category = "SimulationControl"
     return [
-        _integer("SimDelayMs", DELAY, category),
-        _integer("SimLossPermille", LOSS, category, "<Min>0</Min><Max>1000</Max>"),
-        _integer("SimFreezeMs", FREEZE, category),
-        _integer("SimWrongExposurePercent", WRONG_EXPOSURE, category),
-        _integer("SimAllExposuresPercent", ALL_EXPOSURES, category),
-        _integer("SimStaleExposure", STALE_EXPOSURE, category, "<Min>0</Min><Max>1</Max>"),
-        _integer("SimPowerCycle", POWER_CYCLE, category, "<Min>0</Min><Max>1</Max>"),
-        _integer("SimDropControl", DROP_CONTROL, category, "<Min>0</Min><Max>1</Max>"),
-        _integer("SimClockDriftPpm", CLOCK_DRIFT, category),
-        _integer("SimRepeatFrame", REPEAT_FRAME, category, "<Min>0</Min><Max>1</Max>"),
-        _integer("SimBlack", BLACK, category, "<Min>0</Min><Max>1</Max>"),
-        _integer("SimClockOffsetMs", CLOCK_OFFSET, category),
-        _integer("SimForeignPackets", FOREIGN_PACKETS, category),
-        _integer("SimBadAfterStart", BAD_AFTER_START, category),
-        _integer("SimSpeedPermille", SPEED, category, "<Min>1</Min>"),
+        _make_integer("SimDelayMs", DELAY, category),
+        _make_integer("SimLossPermille", LOSS, category, "<Min>0</Min><Max>1000</Max>"),
+        _make_integer("SimFreezeMs", FREEZE, category),
+        _make_integer("SimWrongExposurePercent", WRONG_EXPOSURE, category),
+        _make_integer("SimAllExposuresPercent", ALL_EXPOSURES, category),
+        _make_integer("SimStaleExposure", STALE_EXPOSURE, category, "<Min>0</Min><Max>1</Max>"),
+        _make_integer("SimPowerCycle", POWER_CYCLE, category, "<Min>0</Min><Max>1</Max>"),
+        _make_integer("SimDropControl", DROP_CONTROL, category, "<Min>0</Min><Max>1</Max>"),
+        _make_integer("SimClockDriftPpm", CLOCK_DRIFT, category),
+        _make_integer("SimRepeatFrame", REPEAT_FRAME, category, "<Min>0</Min><Max>1</Max>"),
+        _make_integer("SimBlack", BLACK, category, "<Min>0</Min><Max>1</Max>"),
+        _make_integer("SimClockOffsetMs", CLOCK_OFFSET, category),
+        _make_integer("SimForeignPackets", FOREIGN_PACKETS, category),
+        _make_integer("SimBadAfterStart", BAD_AFTER_START, category),
+        _make_integer("SimSpeedPermille", SPEED, category, "<Min>1</Min>"),
     ]
 
 
-def _category(name: str, members: list[str]) -> str:
+def _format_category(name: str, members: list[str]) -> str:
     return f'<Category Name="{name}">' + "".join(f"<pFeature>{m}</pFeature>" for m in members) + "</Category>"
 
 
-def _register(name: str, address: int, access: str = "RW") -> str:
+def _format_register(name: str, address: int, access: str = "RW") -> str:
     return (
         f'<IntReg Name="{name}Register"><Address>{address:#x}</Address><Length>4</Length><AccessMode>{access}'
         "</AccessMode><pPort>Device</pPort><Sign>Unsigned</Sign><Endianess>BigEndian</Endianess></IntReg>"
     )
 
 
-def _integer(name: str, address: int, category: str, bounds: str = "") -> Feature:
-    nodes = f'<Integer Name="{name}"><pValue>{name}Register</pValue>{bounds}</Integer>{_register(name, address)}'
+def _make_integer(name: str, address: int, category: str, bounds: str = "") -> Feature:
+    nodes = f'<Integer Name="{name}"><pValue>{name}Register</pValue>{bounds}</Integer>{_format_register(name, address)}'
     return Feature(name=name, category=category, nodes=nodes)
 
 
-def _boolean(name: str, address: int, category: str) -> Feature:
-    nodes = f'<Boolean Name="{name}"><pValue>{name}Register</pValue></Boolean>{_register(name, address)}'
+def _make_boolean(name: str, address: int, category: str) -> Feature:
+    nodes = f'<Boolean Name="{name}"><pValue>{name}Register</pValue></Boolean>{_format_register(name, address)}'
     return Feature(name=name, category=category, nodes=nodes)
 
 
-def _quotient(name: str, over: str, under: str, category: str) -> Feature:
+def _make_quotient(name: str, over: str, under: str, category: str) -> Feature:
     nodes = (
         f'<IntSwissKnife Name="{name}"><pVariable Name="A">{over}</pVariable><pVariable Name="B">{under}</pVariable>'
         "<Formula>A / B</Formula></IntSwissKnife>"
@@ -374,29 +374,29 @@ def _quotient(name: str, over: str, under: str, category: str) -> Feature:
     return Feature(name=name, category=category, nodes=nodes)
 
 
-def _scaled(name: str, address: int, *, steps: int, low: int, high: int) -> str:
+def _format_scaled(name: str, address: int, *, steps: int, low: int, high: int) -> str:
     """Return a float feature kept as an integer number of steps per unit."""
     return (
         f'<Float Name="{name}"><pValue>{name}Converter</pValue><Min>{low}</Min><Max>{high}</Max>'
         f"<Inc>{1 / steps:g}</Inc></Float>"
         f'<Converter Name="{name}Converter"><FormulaTo>FROM * {steps}</FormulaTo>'
         f"<FormulaFrom>TO / {steps}.0</FormulaFrom><pValue>{name}Register</pValue></Converter>"
-        f"{_register(name, address)}"
+        f"{_format_register(name, address)}"
     )
 
 
-def _enumeration(name: str, address: int, category: str, entries: dict[str, int]) -> Feature:
+def _make_enumeration(name: str, address: int, category: str, entries: dict[str, int]) -> Feature:
     listed = "".join(f'<EnumEntry Name="{n}"><Value>{v}</Value></EnumEntry>' for n, v in entries.items())
     nodes = f'<Enumeration Name="{name}">{listed}<pValue>{name}Register</pValue></Enumeration>'
-    return Feature(name=name, category=category, nodes=nodes + _register(name, address))
+    return Feature(name=name, category=category, nodes=nodes + _format_register(name, address))
 
 
-def _command(name: str, address: int, category: str, value: int) -> Feature:
+def _make_command(name: str, address: int, category: str, value: int) -> Feature:
     nodes = f'<Command Name="{name}"><pValue>{name}Register</pValue><CommandValue>{value}</CommandValue></Command>'
-    return Feature(name=name, category=category, nodes=nodes + _register(name, address, "WO"))
+    return Feature(name=name, category=category, nodes=nodes + _format_register(name, address, "WO"))
 
 
-def _string(name: str, address: int, length: int) -> Feature:
+def _make_string(name: str, address: int, length: int) -> Feature:
     nodes = (
         f'<StringReg Name="{name}"><Address>{address:#x}</Address><Length>{length}</Length>'
         "<AccessMode>RO</AccessMode><pPort>Device</pPort></StringReg>"

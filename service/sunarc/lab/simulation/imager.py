@@ -117,7 +117,7 @@ class ImagerOptions:
         require_bounds(self, section_path="")
         if self.exposure_min_us >= self.exposure_max_us:
             raise InputError(field="exposure_min_us", problem="not below exposure_max_us", remedy="lower it")
-        _weathers(self.clouds)
+        _parse_weathers(self.clouds)
 
 
 def run_imager(
@@ -170,7 +170,7 @@ def halve_speed(camera: FakeCamera) -> None:
 def make_scene(options: ImagerOptions) -> Scene:
     """Return the very scene that an imager with these options shows."""
     first_day = solar_date(options.start.timestamp(), longitude=options.site.longitude)
-    scene = replace(options.scene, weather=_weathers(options.clouds), first_day=first_day)
+    scene = replace(options.scene, weather=_parse_weathers(options.clouds), first_day=first_day)
     camera = true_camera(options.lens_seed) if options.camera is None else options.camera
     return Scene(camera, options.site, options=scene, sensor=options.sensor)
 
@@ -222,7 +222,7 @@ class _Imager:
         elif self._exposure is None and triggered:
             request = self._camera.request()
             begun = self._clock.monotonic()
-            data, timestamp_ns = self._taken(request)
+            data, timestamp_ns = self._expose_frame(request)
             self._exposure = _Exposure(data, timestamp_ns, begun + request.exposure_us * 1e-6)
         elif self._exposure is not None and self._clock.monotonic() >= self._exposure.ends_at:
             self._exposure = self._exposure._replace(ends_at=math.inf)  # is sent once
@@ -232,14 +232,14 @@ class _Imager:
         """Return a frame's bytes and its timestamp in nanoseconds: the simulated start of the exposure."""
         exposure, self._exposure = self._exposure, None
         if exposure is not None:
-            self._hold_back(0.0)
+            self._delay_sending(0.0)
             return exposure.data, exposure.timestamp_ns
         begun = self._clock.monotonic()
-        taken = self._taken(request)
-        self._hold_back(request.exposure_us * 1e-6 - (self._clock.monotonic() - begun))
+        taken = self._expose_frame(request)
+        self._delay_sending(request.exposure_us * 1e-6 - (self._clock.monotonic() - begun))
         return taken
 
-    def _taken(self, request: Request) -> tuple[NDArray[np.uint8], int]:
+    def _expose_frame(self, request: Request) -> tuple[NDArray[np.uint8], int]:
         """Return the bytes and the timestamp of a frame whose exposure begins now."""
         begun = self._clock.monotonic()
         name = _FORMAT_NAMES[request.pixel_format]
@@ -250,35 +250,35 @@ class _Imager:
         start_us = round(self._timeline.at(elapsed_s) * 1e6)
         drift_us = self._camera.read(genicam.CLOCK_DRIFT) * elapsed_s * self._options.speed
         offset_us = self._camera.read(genicam.CLOCK_OFFSET) * 1000
-        image = self._repeated(request) if self._camera.read(genicam.REPEAT_FRAME) else None
-        bad = self._badness()
+        image = self._repeat_image(request) if self._camera.read(genicam.REPEAT_FRAME) else None
+        bad = self._find_restart_fault()
         if image is None:
-            image = self._binned(
+            image = self._render_binned(
                 partial(
                     self.scene.render,
                     start_us,
-                    exposure_us=self._light_us(request.exposure_us, bad),
+                    exposure_us=self._true_exposure_us(request.exposure_us, bad),
                     gain_db=request.gain_steps / genicam.GAIN_STEPS_PER_DB,
                     full_scale=largest_count(name),
                     bayer=bayer_pattern(name),
                 ),
                 request.region,
             )
-            self._keep(request, image)
+            self._keep_image(request, image)
         if bad == "half_filled":
             image = image.copy()  # the one that is kept to be repeated stays whole
             image[image.shape[0] // 2 :] = 0
-        sent = self._mix_packets(_as_bytes(image, name), request, start_us * 1e-6)
+        sent = self._mix_packets(_encode_image(image, name), request, start_us * 1e-6)
         return sent, (start_us + round(drift_us) + offset_us) * 1000
 
-    def _keep(self, request: Request, image: Image) -> None:
+    def _keep_image(self, request: Request, image: Image) -> None:
         """Keep an image to be repeated; of the oldest requests none is kept."""
         self._last_images.pop(request, None)
         self._last_images[request] = image
         while len(self._last_images) > MAX_IMAGES:
             del self._last_images[next(iter(self._last_images))]
 
-    def _repeated(self, request: Request) -> Image | None:
+    def _repeat_image(self, request: Request) -> Image | None:
         """Return the image that was last sent for the same request; None without one."""
         return self._last_images.get(request)
 
@@ -291,12 +291,12 @@ class _Imager:
     def obey(self) -> None:
         """Carry out the orders that are valid at any time: power off and on, or drop the controlling client."""
         if self._camera.read(genicam.POWER_CYCLE):
-            self._switch_on()
+            self._reset_registers()
         if self._camera.read(genicam.DROP_CONTROL):
             self._camera.write(genicam.DROP_CONTROL, 0)
             self._camera.write(genicam.CONTROL_PRIVILEGE, 0)
 
-    def _badness(self) -> Badness | None:
+    def _find_restart_fault(self) -> Badness | None:
         """Return the fault of a frame that follows a start of acquisition too soon, each kind in turn."""
         if self._camera.read(genicam.ACQUISITION) == _START:
             self._camera.write(genicam.ACQUISITION, _NOTED_START)
@@ -325,7 +325,7 @@ class _Imager:
         mixed[changed] = before[changed]
         return mixed
 
-    def _light_us(self, exposure_us: float, bad: Badness | None) -> float:
+    def _true_exposure_us(self, exposure_us: float, bad: Badness | None) -> float:
         """Return the true exposure of the frame, µs: the stated one, unless a fault is set."""
         percent = self._camera.read(genicam.WRONG_EXPOSURE) or self._camera.read(genicam.ALL_EXPOSURES) or 100
         self._camera.write(genicam.WRONG_EXPOSURE, 0)
@@ -338,7 +338,7 @@ class _Imager:
         self._previous_exposure_us = exposure_us
         return light_us
 
-    def _binned(self, render: Callable[..., Image], region: tuple[int, int, int, int]) -> Image:
+    def _render_binned(self, render: Callable[..., Image], region: tuple[int, int, int, int]) -> Image:
         """Return a region's counts, each the mean of the pixels that the registers join."""
         across, down = self._camera.read(genicam.BINNING_X), self._camera.read(genicam.BINNING_Y)
         x, y, width, height = region
@@ -348,7 +348,7 @@ class _Imager:
         joined: Image = image.reshape(height, down, width, across).mean(axis=(1, 3)).astype(image.dtype)
         return joined
 
-    def _hold_back(self, rest_of_exposure_s: float) -> None:
+    def _delay_sending(self, rest_of_exposure_s: float) -> None:
         """Wait as long as the exposure and the faults want, and let packets be lost."""
         delay_s = self._camera.read(genicam.DELAY) * 1e-3 + self._camera.read(genicam.FREEZE) * 1e-3
         self._camera.write(genicam.FREEZE, 0)
@@ -377,7 +377,7 @@ class _Imager:
         self._camera.write_text(genicam.VENDOR, "sunarc", length=32)
         self._camera.write_text(genicam.MODEL, "simulated sky", length=32)
 
-    def _switch_on(self) -> None:
+    def _reset_registers(self) -> None:
         """Reset to the state after switching on: free-running, everything automatic, no application in control."""
         self._set_up_registers()
         registers = {
@@ -395,14 +395,14 @@ class _Imager:
             self._camera.write(address, value)
 
 
-def _as_bytes(image: Image, pixel_format: str) -> NDArray[np.uint8]:
+def _encode_image(image: Image, pixel_format: str) -> NDArray[np.uint8]:
     packing = packed_layout(pixel_format)
     if packing is None:
         return np.ascontiguousarray(image).view(np.uint8).ravel()
     return np.frombuffer(pack(image.astype(np.uint16), packing), np.uint8)
 
 
-def _weathers(clouds: str) -> tuple[Weather, ...]:
+def _parse_weathers(clouds: str) -> tuple[Weather, ...]:
     names = [name.strip() for name in clouds.split(",")]
     known: dict[str, Weather] = {weather: weather for weather in WEATHERS}
     unknown = [name for name in names if name not in known]
@@ -491,13 +491,13 @@ def truth_document(camera: Camera, site: Site, *, name: str, created_at: datetim
         poses=(camera.rotation_cam_enu,),
         parameter_names=(),
         covariance=np.zeros((0, 0)),
-        field=_no_field(camera),
+        field=_make_zero_field(camera),
         sky_rms_deg=0.0,
         sky_max_deg=0.0,
         metrics=NO_METRICS,
         pose=pose_angles(camera.rotation_cam_enu),
         backward=fit_backward(camera),
-        evidence=_no_evidence(),
+        evidence=_make_empty_provenance(),
         verdict=Verdict(accepted=True, findings=(Finding("simulated_camera"),)),
         method="robust",
         site=site,
@@ -515,13 +515,13 @@ def truth_document(camera: Camera, site: Site, *, name: str, created_at: datetim
     )
 
 
-def _no_field(camera: Camera) -> Field:
+def _make_zero_field(camera: Camera) -> Field:
     center = (camera.width / 2.0, camera.height / 2.0)
     basis = WaveBasis(center_px=center, half_px=center, orders=np.zeros((0, 2), dtype=np.int64))
     return Field(amplitude_px=0.0, length_px=1.0, basis=basis, cross=np.zeros((2, 0, 0)))
 
 
-def _no_evidence() -> Provenance:
+def _make_empty_provenance() -> Provenance:
     return Provenance(
         days=(),
         n_supplied=0,

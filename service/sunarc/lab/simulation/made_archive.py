@@ -123,7 +123,7 @@ def write_archive(made: MadeArchive, folder: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     lines = []
     for number, camera in enumerate(made.cameras):
-        address = _write_container(folder / camera.name, camera.container, _files(made, camera, number))
+        address = _write_container(folder / camera.name, camera.container, _make_files(made, camera, number))
         lines += [
             f"[cameras.{camera.name}]",
             f'sources = ["{address.name}"]',
@@ -168,23 +168,23 @@ def true_times(made: MadeArchive) -> FloatArray:
     return np.concatenate(times)
 
 
-def _files(made: MadeArchive, camera: MadeCamera, number: int) -> Iterator[tuple[str, bytes]]:
+def _make_files(made: MadeArchive, camera: MadeCamera, number: int) -> Iterator[tuple[str, bytes]]:
     rng = np.random.default_rng((made.seed, number))
     times = true_times(made)
     directions = sun_directions(times, made.site)
     for time, direction in zip(times.tolist(), directions, strict=True):
         pixel = project(camera_at(made, camera, time), direction)
         hidden = bool(rng.random() < made.cloudy_share)
-        yield _name(made, camera, time), encoded(photograph(made.size, pixel, rng, hidden=hidden))
+        yield _make_file_name(made, camera, time), encoded(photograph(made.size, pixel, rng, hidden=hidden))
     whole = encoded(photograph(made.size, np.array([60.0, 70.0]), rng))
     for broken in range(made.broken):
         kind = _BROKEN[broken % len(_BROKEN)]
         hours = 6.0 if kind == "night" else 19.0
         time = made.first_day.timestamp() + 3600.0 * hours + 61.0 * (broken + 1)
-        yield _name(made, camera, time), _break_content(kind, whole, made.size)
+        yield _make_file_name(made, camera, time), _break_content(kind, whole, made.size)
 
 
-def _name(made: MadeArchive, camera: MadeCamera, unix_s: float) -> str:
+def _make_file_name(made: MadeArchive, camera: MadeCamera, unix_s: float) -> str:
     day = (unix_s - made.first_day.timestamp() - 0.25 * DAY_S) // DAY_S / made.step_days
     ahead = 3600.0 * camera.utc_offset_h + (camera.wrong_s if day in camera.wrong_days else 0.0)
     return (utc_time(unix_s) + timedelta(seconds=ahead)).strftime(camera.naming)
@@ -212,16 +212,16 @@ def photograph(size: int, sun: FloatArray, rng: np.random.Generator, *, hidden: 
     """Return a photograph, (size, size, 3), with the sun at a pixel, or behind a cloud."""
     rows, columns = np.mgrid[:size, :size].astype(np.float32)
     if hidden:
-        light = 0.55 + 0.1 * _texture(rng, size, 0.15 * size) + 0.03 * _texture(rng, size, 0.04 * size)
+        light = 0.55 + 0.1 * _draw_texture(rng, size, 0.15 * size) + 0.03 * _draw_texture(rng, size, 0.04 * size)
     else:
         far = np.hypot(columns - sun[0], rows - sun[1]) / (_RADIUS_SHARE * size)
-        light = np.interp(far, *_PROFILE) + 0.02 * np.minimum(far / 1.7, 2.0) * _texture(rng, size, 0.07 * size)
+        light = np.interp(far, *_PROFILE) + 0.02 * np.minimum(far / 1.7, 2.0) * _draw_texture(rng, size, 0.07 * size)
     light[np.hypot(columns - size / 2, rows - size / 2) > 0.49 * size] = 0.03
     colours = light[..., None] * np.array([1.12, 1.05, 1.0]) + rng.normal(0.0, 0.006, (size, size, 1))
     return np.asarray(np.round(255.0 * np.clip(colours, 0.0, 1.0)), dtype=np.uint8)
 
 
-def _texture(rng: np.random.Generator, size: int, scale_px: float) -> FloatArray:
+def _draw_texture(rng: np.random.Generator, size: int, scale_px: float) -> FloatArray:
     cells = math.ceil(size / scale_px) + 3
     wide = cv2.resize(rng.standard_normal((cells, cells)), (size, size), interpolation=cv2.INTER_CUBIC)
     return np.asarray((wide - wide.mean()) / wide.std(), dtype=np.float64)

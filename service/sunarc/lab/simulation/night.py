@@ -83,20 +83,20 @@ class NightLight:
         rng = np.random.default_rng([self._seed, 17, round(unix_s * 1e3)])
         moon = body_position("moon", unix_s, self._site) if self._options.moon else None
         light = region.light
-        light += _kernels.night_glow(region.field, *self._glow(moon, scale), *layer)
+        light += _kernels.night_glow(region.field, *self._compute_glow(moon, scale), *layer)
         points = [
-            self._images(*self._stars(unix_s, exposure_us, rng, layer)),
-            self._images(*self._planets(unix_s, layer)),
-            self._images(*self._trails(exposure_us, rng, layer)),
-            self._moon(moon, unix_s, layer),
-            self._warm(),
+            self._make_point_images(*self._place_stars(unix_s, exposure_us, rng, layer)),
+            self._make_point_images(*self._place_planets(unix_s, layer)),
+            self._make_point_images(*self._draw_trails(exposure_us, rng, layer)),
+            self._place_moon(moon, unix_s, layer),
+            self._draw_warm_pixels(),
         ]
         every = np.concatenate(points)
         every[:, :2] -= region.origin
         every[:, 2] *= scale
         light += _kernels.image_of_points(light.shape[0], light.shape[1], every)
 
-    def _glow(
+    def _compute_glow(
         self, moon: BodyPosition | None, scale: float
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
         """Return the levels, the town's direction and the moon's, of `night_glow`."""
@@ -107,7 +107,7 @@ class NightLight:
         moonlit, glare, direction = 0.0, 0.0, (0.0, 0.0, -1.0)
         if moon is not None and moon.direction[2] > 0.0:
             direction = moon.direction
-            through = self._through(np.array([moon.direction]))[0]
+            through = self._compute_transmission(np.array([moon.direction]))[0]
             relative = 10.0 ** (-0.4 * (moon.magnitude - _FULL_MOON)) * through
             moonlit = zero * pixel_arcsec2 * 10.0 ** (-0.4 * _MOONLIT_SKY) * relative
             glare = zero * 10.0 ** (-0.4 * moon.magnitude) * through * _GLARE
@@ -119,11 +119,11 @@ class NightLight:
         )
 
     @cached_property
-    def _catalogue(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _make_catalogue(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """ICRS unit vectors (n, 3), their motion a year (n, 3), and V: the table's stars, and faint ones at random."""
         table = star_table()
         right, up = table.right_ascension, table.declination
-        place = _unit(right, up)
+        place = _unit_vectors(right, up)
         east = np.stack([-np.sin(right), np.cos(right), np.zeros_like(right)], axis=-1)
         north = np.stack([-np.cos(right) * np.sin(up), -np.sin(right) * np.sin(up), np.cos(up)], axis=-1)
         motion = np.nan_to_num(table.motion)
@@ -139,17 +139,19 @@ class NightLight:
             np.concatenate([table.magnitude[bright], magnitude]),
         )
 
-    def _stars(
+    def _place_stars(
         self, unix_s: float, exposure_us: float, rng: np.random.Generator, layer: CloudLayer
     ) -> tuple[FloatArray, FloatArray]:
         """Return pixels (n, steps, 2) along the trails and electrons a second (n,) of the stars in the image."""
-        place, motion, magnitude = self._catalogue
+        place, motion, magnitude = self._make_catalogue
         place = place + motion * ((unix_s - _TABLE_YEAR_UNIX_S) / _YEAR_S)
         ends = [
             star_directions_by_series(place, unix_s + side * exposure_us * 0.5e-6, self._site) for side in (-1.0, 1.0)
         ]
         direction = 0.5 * (ends[0] + ends[1])
-        electrons = self._options.star_e_per_s * 10.0 ** (-0.4 * magnitude) * self._through(direction, layer)
+        electrons = (
+            self._options.star_e_per_s * 10.0 ** (-0.4 * magnitude) * self._compute_transmission(direction, layer)
+        )
         seen = electrons > 0.0
         pixels = np.stack([self._project(one[seen]) for one in ends], axis=1)
         air_mass = relative_air_mass(np.degrees(np.arccos(np.clip(direction[seen, 2], 0.0, 1.0))))
@@ -161,18 +163,22 @@ class NightLight:
         trail = pixels[inside, :1] + steps[None, :, None] * (pixels[inside, 1:] - pixels[inside, :1])
         return trail, (electrons[seen] * flicker)[inside]
 
-    def _planets(self, unix_s: float, layer: CloudLayer) -> tuple[FloatArray, FloatArray]:
+    def _place_planets(self, unix_s: float, layer: CloudLayer) -> tuple[FloatArray, FloatArray]:
         if not self._options.moon:
             return np.zeros((0, 1, 2)), np.zeros(0)
         places = [body_position(name, unix_s, self._site) for name in SOLAR_SYSTEM_BODIES if name != "moon"]
         direction = np.array([place.direction for place in places])
         magnitude = np.array([place.magnitude for place in places])
-        electrons = self._options.star_e_per_s * 10.0 ** (-0.4 * magnitude) * self._through(direction, layer)
+        electrons = (
+            self._options.star_e_per_s * 10.0 ** (-0.4 * magnitude) * self._compute_transmission(direction, layer)
+        )
         pixels = self._project(direction)
         seen = np.all(np.isfinite(pixels), axis=-1) & (electrons > 0.0)
         return pixels[seen, None], electrons[seen]
 
-    def _trails(self, exposure_us: float, rng: np.random.Generator, layer: CloudLayer) -> tuple[FloatArray, FloatArray]:
+    def _draw_trails(
+        self, exposure_us: float, rng: np.random.Generator, layer: CloudLayer
+    ) -> tuple[FloatArray, FloatArray]:
         """Return pixels (n, 1, 2) and electrons a second (n,) of satellites (even trails) and aircraft (flashes)."""
         places, light = [np.zeros((0, 2))], [np.zeros(0)]
         for kind, mean in (("satellite", self._options.satellites), ("aircraft", self._options.aircraft)):
@@ -193,17 +199,17 @@ class NightLight:
                 brightest = -3.0 if kind == "aircraft" else 0.0
                 electrons = self._options.star_e_per_s * 10.0 ** (-0.4 * rng.uniform(brightest, brightest + 4.0))
                 places.append(self._project(way))
-                light.append(electrons / max(share.size, 1) * self._through(way, layer))
+                light.append(electrons / max(share.size, 1) * self._compute_transmission(way, layer))
         pixels, electrons_per_s = np.concatenate(places), np.concatenate(light)
         seen = np.all(np.isfinite(pixels), axis=-1) & (electrons_per_s > 0.0)
         return pixels[seen, None], electrons_per_s[seen]
 
-    def _moon(self, moon: BodyPosition | None, unix_s: float, layer: CloudLayer) -> FloatArray:
+    def _place_moon(self, moon: BodyPosition | None, unix_s: float, layer: CloudLayer) -> FloatArray:
         """Return the moon's lit part as points of `image_of_points`."""
         if moon is None:
             return np.zeros((0, 4))
         direction = np.array(moon.direction)
-        through = float(self._through(direction[None], layer)[0])
+        through = float(self._compute_transmission(direction[None], layer)[0])
         points = disc_points(self._camera, direction, limb_darkening=0.0, radius=moon.radius)
         if points is None or through <= 0.0:
             return np.zeros((0, 4))
@@ -219,14 +225,14 @@ class NightLight:
         bright = electrons > 0.0
         return np.column_stack([points.pixel[bright], electrons[bright], np.full(int(bright.sum()), _SIGMA_PX)])
 
-    def _warm(self) -> FloatArray:
+    def _draw_warm_pixels(self) -> FloatArray:
         """Return the clumps of warm pixels as points (n, 4): the same in every image."""
         count = self._options.warm_spots
         rng = np.random.default_rng([self._seed, 19])
         place = rng.uniform(0.0, 1.0, (count, 2)) * [self._camera.width, self._camera.height]
         return np.column_stack([place, 10.0 ** rng.uniform(1.5, 3.5, count), np.full(count, _SIGMA_PX)])
 
-    def _images(self, pixels: FloatArray, electrons: FloatArray) -> FloatArray:
+    def _make_point_images(self, pixels: FloatArray, electrons: FloatArray) -> FloatArray:
         """Return the images of sources along their trails, pixels (n, steps, 2), as points of `image_of_points`."""
         steps = pixels.shape[1]
         every = pixels.reshape(-1, 2)
@@ -247,7 +253,7 @@ class NightLight:
     def _project(self, direction: FloatArray) -> FloatArray:
         return project(self._camera, direction)
 
-    def _through(self, direction: FloatArray, layer: CloudLayer | None = None) -> FloatArray:
+    def _compute_transmission(self, direction: FloatArray, layer: CloudLayer | None = None) -> FloatArray:
         """Return the share of light that comes through air, clouds and obstructions; 0 below the horizon."""
         zenith = np.degrees(np.arccos(np.clip(direction[:, 2], -1.0, 1.0)))
         through = 10.0 ** (-0.4 * self._options.extinction * relative_air_mass(np.minimum(zenith, 89.9)))
@@ -258,7 +264,7 @@ class NightLight:
         return np.where(hidden, 0.0, through)
 
 
-def _unit(right: FloatArray, up: FloatArray) -> FloatArray:
+def _unit_vectors(right: FloatArray, up: FloatArray) -> FloatArray:
     """Return unit vectors (n, 3) of right ascensions and declinations, rad."""
     return np.stack([np.cos(up) * np.cos(right), np.cos(up) * np.sin(right), np.sin(up)], axis=-1)
 
@@ -276,7 +282,7 @@ _ABERRATION_RAD = math.radians(20.49552 / 3600.0)
 _PERIHELION_RAD = math.radians(102.937)
 
 
-class _Terms(NamedTuple):
+class _AstronomicalTerms(NamedTuple):
     """Obliquity, nutation in longitude and in obliquity, true longitude of the sun, rad; the orbit's eccentricity."""
 
     obliquity: float
@@ -294,21 +300,21 @@ def star_directions_by_series(places_icrs: FloatArray, unix_s: float, site: Site
     """
     days = (unix_s - _J2000_UNIX_S) / DAY_S
     centuries = (days + _TT_MINUS_UTC_S / DAY_S) / _CENTURY_DAYS
-    terms = _terms(centuries)
+    terms = _compute_terms(centuries)
     aberrated = places_icrs + _earth_velocity(terms)
     aberrated /= np.linalg.norm(aberrated, axis=-1, keepdims=True)
-    of_date = aberrated @ (_nutation(terms) @ _precession(centuries)).T
+    of_date = aberrated @ (_nutation_matrix(terms) @ _precession_matrix(centuries)).T
     sidereal = math.radians(280.46061837 + 360.98564736629 * days + 0.000387933 * centuries**2)
     sidereal += terms.in_longitude * math.cos(terms.obliquity) + math.radians(site.longitude)
-    towards_east, latitude = _turn(2, sidereal) @ of_date.T, math.radians(site.latitude)
-    south_of_zenith = _turn(1, math.pi / 2.0 - latitude) @ towards_east
+    towards_east, latitude = _axis_rotation(2, sidereal) @ of_date.T, math.radians(site.latitude)
+    south_of_zenith = _axis_rotation(1, math.pi / 2.0 - latitude) @ towards_east
     north, east, up = -south_of_zenith[0], south_of_zenith[1], south_of_zenith[2]
     elevation = apparent_elevation(np.degrees(np.arcsin(np.clip(up, -1.0, 1.0))), site)
     azimuth = np.degrees(np.arctan2(east, north))
     return direction_from_angles(zenith_deg=90.0 - elevation, azimuth_deg=azimuth)
 
 
-def _terms(centuries: float) -> _Terms:
+def _compute_terms(centuries: float) -> _AstronomicalTerms:
     t = centuries
     node, sun, moon = (
         math.radians(first + rate * t)
@@ -322,7 +328,7 @@ def _terms(centuries: float) -> _Terms:
     tilt = 9.20 * math.cos(node) + 0.57 * math.cos(2 * sun) + 0.10 * math.cos(2 * moon) - 0.09 * math.cos(2 * node)
     # the velocity is wanted in the frame of J2000, the sun's longitude is of the date
     precessed = math.radians(1.396971 * t)
-    return _Terms(
+    return _AstronomicalTerms(
         obliquity=math.radians((84381.406 - 46.836769 * t) / 3600.0),
         in_longitude=math.radians(longitude / 3600.0),
         in_obliquity=math.radians(tilt / 3600.0),
@@ -331,7 +337,7 @@ def _terms(centuries: float) -> _Terms:
     )
 
 
-def _earth_velocity(terms: _Terms) -> FloatArray:
+def _earth_velocity(terms: _AstronomicalTerms) -> FloatArray:
     """Return the Earth's velocity over light's, (3,), in the frame of J2000."""
     along = math.cos(terms.sun) - terms.eccentricity * math.cos(_PERIHELION_RAD)
     across = math.sin(terms.sun) - terms.eccentricity * math.sin(_PERIHELION_RAD)
@@ -339,20 +345,20 @@ def _earth_velocity(terms: _Terms) -> FloatArray:
     return _ABERRATION_RAD * np.array([across, -along * math.cos(obliquity), -along * math.sin(obliquity)])
 
 
-def _precession(t: float) -> FloatArray:
+def _precession_matrix(t: float) -> FloatArray:
     zeta = 2.650545 + (2306.083227 + (0.2988499 + 0.01801828 * t) * t) * t
     z = -2.650545 + (2306.077181 + (1.0927348 + 0.01826837 * t) * t) * t
     theta = (2004.191903 - (0.4294934 + 0.04182264 * t) * t) * t
     first, second, third = (math.radians(angle / 3600.0) for angle in (-zeta, theta, -z))
-    return _turn(2, third) @ _turn(1, second) @ _turn(2, first)
+    return _axis_rotation(2, third) @ _axis_rotation(1, second) @ _axis_rotation(2, first)
 
 
-def _nutation(terms: _Terms) -> FloatArray:
+def _nutation_matrix(terms: _AstronomicalTerms) -> FloatArray:
     true = terms.obliquity + terms.in_obliquity
-    return _turn(0, -true) @ _turn(2, -terms.in_longitude) @ _turn(0, terms.obliquity)
+    return _axis_rotation(0, -true) @ _axis_rotation(2, -terms.in_longitude) @ _axis_rotation(0, terms.obliquity)
 
 
-def _turn(axis: int, angle: float) -> FloatArray:
+def _axis_rotation(axis: int, angle: float) -> FloatArray:
     """Return the matrix (3, 3) that turns the frame about an axis by an angle, rad."""
     c, s = math.cos(angle), math.sin(angle)
     first, second = ((1, 2), (2, 0), (0, 1))[axis]

@@ -76,7 +76,7 @@ def write_pictures(options: PictureOptions, folder: Path, clock: Clock, stop: th
     began_s = clock.monotonic()
     times = _times_with_sun(options.start.timestamp(), options.cadence_s, options.site)
     for written, unix_s in enumerate(times):
-        picture = _picture(options, camera, unix_s, rng)
+        picture = _make_picture(options, camera, unix_s, rng)
         due_s = began_s + written * options.cadence_s / options.speed
         if clock.wait(stop, max(0.0, due_s - clock.monotonic())):
             return
@@ -94,7 +94,7 @@ def _write_truth(options: PictureOptions, camera: Camera) -> None:
         options.truth.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
 
 
-def _picture(options: PictureOptions, camera: Camera, unix_s: float, rng: np.random.Generator) -> bytes:
+def _make_picture(options: PictureOptions, camera: Camera, unix_s: float, rng: np.random.Generator) -> bytes:
     bump = options.bump
     if bump is not None and unix_s >= bump.at.timestamp():
         camera = bumped_camera(camera, bump)
@@ -154,7 +154,7 @@ class PresentPicture:
             second = math.floor(with_sun_s)
             if self._newest is None or self._newest[0] != second:
                 rng = np.random.default_rng((options.seed, second))
-                self._newest = (second, _picture(options, self.camera, second, rng))
+                self._newest = (second, _make_picture(options, self.camera, second, rng))
             return utc_time(second), self._newest[1]
 
 
@@ -180,7 +180,7 @@ class PictureServer:
         """Return the status, the headers and the body for a GET."""
         if path.partition("?")[0] not in PATHS:
             return 404, [], b""
-        if not self._permits(path, authorization):
+        if not self._permits_request(path, authorization):
             digest = f'Digest realm="{_REALM}", nonce="{self._nonce}", algorithm=MD5, qop="auth"'
             return 401, [("WWW-Authenticate", digest), ("WWW-Authenticate", f'Basic realm="{_REALM}"')], b""
         time, picture = self.present.now()
@@ -188,7 +188,7 @@ class PictureServer:
         headers = [("Content-Type", "image/jpeg"), ("Date", stated), ("Last-Modified", stated)]
         return 200, headers, picture
 
-    def _permits(self, path: str, authorization: str | None) -> bool:
+    def _permits_request(self, path: str, authorization: str | None) -> bool:
         if self.login is None:
             return True
         scheme, _, given = (authorization or "").partition(" ")

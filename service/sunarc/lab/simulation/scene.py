@@ -96,7 +96,7 @@ class Scene:
         -------
         (height, width) of the region.
         """
-        if (after := self._after(start_us * 1e-6)) is not None:
+        if (after := self._bumped_scene(start_us * 1e-6)) is not None:
             return after.render(
                 start_us,
                 exposure_us=exposure_us,
@@ -107,7 +107,7 @@ class Scene:
                 bayer=bayer,
             )
         region = region or (0, 0, self.camera.width, self.camera.height)
-        light, smear = self._gathered(start_us * 1e-6 + exposure_us * 0.5e-6, region, exposure_us, bayer)
+        light, smear = self._collect_light(start_us * 1e-6 + exposure_us * 0.5e-6, region, exposure_us, bayer)
         starts = np.zeros(region[3], dtype=np.int64)
         if noise:
             self._add_hot_pixels(light, region, exposure_us)
@@ -124,10 +124,10 @@ class Scene:
 
     def sun_pixel(self, unix_s: float) -> FloatArray:
         """Return the (2,) pixel of the sun's centre; NaN where the lens does not see it."""
-        after = self._after(unix_s)
+        after = self._bumped_scene(unix_s)
         return project(self.camera if after is None else after.camera, self.sun_direction(unix_s))
 
-    def _after(self, unix_s: float) -> Scene | None:
+    def _bumped_scene(self, unix_s: float) -> Scene | None:
         """Return the scene as the camera sees it once it was bumped; None before, and where it never is."""
         bump = self.options.bump
         if bump is None or unix_s < bump.at.timestamp():
@@ -149,17 +149,19 @@ class Scene:
         points = scene_parts.disc_points(self.camera, sun, limb_darkening=self.options.limb_darkening)
         if points is None:
             return 0.0
-        transmittance = self._transmittance(points.direction_enu, layer) * self._is_uncovered(points.direction_enu, sun)
+        transmittance = self._compute_transmittance(points.direction_enu, layer) * self._is_uncovered(
+            points.direction_enu, sun
+        )
         return float(np.average(transmittance, weights=points.weight_px))
 
-    def _gathered(
+    def _collect_light(
         self, unix_s: float, region: Region, exposure_us: float, bayer: Bayer | None
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return `_light` as the wells hold it: behind the mosaic, and run over."""
+        """Return `_compute_light` as the wells hold it: behind the mosaic, and run over."""
         x, y, width, height = region
         blooms = self.sensor.blooming > 0.0
         first_row, rows = (0, self.camera.height) if blooms else (y, height)  # charge comes from outside the region too
-        light, smear = self._light(unix_s, (x, first_row, width, rows), exposure_us)
+        light, smear = self._compute_light(unix_s, (x, first_row, width, rows), exposure_us)
         if bayer is not None:
             behind_mosaic(light, bayer, first=(x, first_row))
         if blooms:
@@ -167,7 +169,7 @@ class Scene:
             light = np.ascontiguousarray(light[y : y + height])
         return light, smear
 
-    def _light(
+    def _compute_light(
         self, unix_s: float, region: Region, exposure_us: float
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return the light of a region in full scales per microsecond, and its smear in electrons, (w,)."""
@@ -176,9 +178,9 @@ class Scene:
         x, y, width, height = region
         field = np.ascontiguousarray(self._field[y : y + height, x : x + width])
         smear = np.zeros(width, dtype=np.float32)
-        stamps, share = self._stamps(sun, layer)
-        stamps += self._moon(layer)
-        light = _kernels.sky_light(field, sun.astype(np.float32), self._levels(sun[2], share), *layer)
+        stamps, share = self._make_sun_stamps(sun, layer)
+        stamps += self._make_moon_stamps(layer)
+        light = _kernels.sky_light(field, sun.astype(np.float32), self._compute_sky_levels(sun[2], share), *layer)
         if self._night is not None and sun[2] < _NIGHT_UP:
             well_e, part = self.sensor.full_well_e, scene_parts.RegionLight(light, field, (x, y))
             self._night.add(part, unix_s=unix_s, exposure_us=exposure_us, layer=layer, well_e=well_e)
@@ -188,16 +190,18 @@ class Scene:
             add_stamp(smear[None, :], scene_parts.Stamp(stamp.x, 0, column_sum * self.sensor.full_well_e), (x, 0))
         return light, smear
 
-    def _stamps(self, sun: FloatArray, layer: scene_parts.CloudLayer) -> tuple[list[scene_parts.Stamp], float]:
+    def _make_sun_stamps(self, sun: FloatArray, layer: scene_parts.CloudLayer) -> tuple[list[scene_parts.Stamp], float]:
         """Return the images of the sun's disc, and how much of its light comes through."""
         points = scene_parts.disc_points(self.camera, sun, limb_darkening=self.options.limb_darkening)
         if points is None:
             return [], 0.0
-        transmittance = self._transmittance(points.direction_enu, layer) * self._is_uncovered(points.direction_enu, sun)
+        transmittance = self._compute_transmittance(points.direction_enu, layer) * self._is_uncovered(
+            points.direction_enu, sun
+        )
         share = float(np.average(transmittance, weights=points.weight_px))
         if share <= 0.0:
             return [], 0.0
-        weight = points.weight_px * transmittance * self._disc_rate(sun[2])
+        weight = points.weight_px * transmittance * self._compute_disc_rate(sun[2])
         stamps = [scene_parts.make_stamp(points.pixel, weight, sigma_px=self.options.psf_sigma_px)]
         if self.options.ghost_strength > 0.0:
             opposite = 2.0 * np.array(self.camera.principal_point_px) - points.pixel
@@ -208,7 +212,7 @@ class Scene:
             )
         return stamps, share
 
-    def _moon(self, layer: scene_parts.CloudLayer) -> list[scene_parts.Stamp]:
+    def _make_moon_stamps(self, layer: scene_parts.CloudLayer) -> list[scene_parts.Stamp]:
         """Return the image of the full moon, where there is one: even, and 400 000 times fainter than the sun."""
         if self.options.moon_at is None:
             return []
@@ -218,30 +222,33 @@ class Scene:
         if points is None:
             return []
         weight = (
-            points.weight_px * self._transmittance(points.direction_enu, layer) * self._disc_rate(direction[2]) * _MOON
+            points.weight_px
+            * self._compute_transmittance(points.direction_enu, layer)
+            * self._compute_disc_rate(direction[2])
+            * _MOON
         )
         return [scene_parts.make_stamp(points.pixel, weight, sigma_px=self.options.psf_sigma_px)]
 
-    def _transmittance(self, direction_enu: FloatArray, layer: scene_parts.CloudLayer) -> FloatArray:
+    def _compute_transmittance(self, direction_enu: FloatArray, layer: scene_parts.CloudLayer) -> FloatArray:
         through = _kernels.cloud_transmittance(*layer, direction_enu.astype(np.float32))
         return np.where(scene_parts.is_blocked(direction_enu, self.options.obstructions), 0.0, through)
 
     def _is_uncovered(self, direction_enu: FloatArray, sun_enu: FloatArray) -> BoolArray:
         return ~scene_parts.is_covered(direction_enu, sun_enu, share=self.options.sun_cover)
 
-    def _disc_rate(self, sun_up: float) -> float:
+    def _compute_disc_rate(self, sun_up: float) -> float:
         """Return full scales per microsecond in the middle of the disc, behind the air and the filter."""
         through = clear_transmission(90.0 - math.degrees(math.asin(sun_up)))
         return self.options.sun_rate * self.options.nd_transmission * through
 
-    def _levels(self, sun_up: float, share: float) -> NDArray[np.float32]:
+    def _compute_sky_levels(self, sun_up: float, share: float) -> NDArray[np.float32]:
         """Return the levels of `sky_light` in full scales per microsecond."""
         disc = self.options.sun_rate * self.options.nd_transmission
         core = math.radians(_GLARE_CORE_DEG) ** 2
         below_deg = max(-math.degrees(math.asin(sun_up)), 0.0)
         day = max(sun_up, 0.0) ** 0.7 + 0.03 * math.exp(-below_deg / 2.0)
         zenith = disc * self.options.sky_strength * day
-        glare = self._disc_rate(sun_up) * share * self.options.glare_strength * math.radians(1.0) ** 2
+        glare = self._compute_disc_rate(sun_up) * share * self.options.glare_strength * math.radians(1.0) ** 2
         return np.array([zenith, 2.5 * zenith, 0.4 * zenith, glare, core, 0.4 * zenith], dtype=np.float32)
 
     def _sensor_factors(

@@ -83,12 +83,12 @@ def make_stamp(pixel: FloatArray, weight: FloatArray, *, sigma_px: float) -> Sta
     margin = 6.0 * sigma_px + 1.0
     x0, y0 = (int(v) for v in np.floor(pixel.min(axis=0) - margin))
     x1, y1 = (int(v) for v in np.ceil(pixel.max(axis=0) + margin))
-    columns = _shares(np.arange(x0, x1 + 2), pixel[:, 0], sigma_px)
-    rows = _shares(np.arange(y0, y1 + 2), pixel[:, 1], sigma_px)
+    columns = _compute_pixel_shares(np.arange(x0, x1 + 2), pixel[:, 0], sigma_px)
+    rows = _compute_pixel_shares(np.arange(y0, y1 + 2), pixel[:, 1], sigma_px)
     return Stamp(x0, y0, (rows * weight) @ columns.T)
 
 
-def _shares(first_to_last: NDArray[np.intp], position: FloatArray, sigma_px: float) -> FloatArray:
+def _compute_pixel_shares(first_to_last: NDArray[np.intp], position: FloatArray, sigma_px: float) -> FloatArray:
     """Return (pixels, points): how much of each point's light falls between the pixel's edges, in one axis."""
     edges = (first_to_last[:, None] - 0.5 - position[None, :]) / sigma_px
     return np.asarray(np.diff(ndtr(edges), axis=0))
@@ -116,11 +116,11 @@ def cloud_layer(weather: Weather, *, seed: int, unix_s: float) -> CloudLayer:
         return CLEAR_SKY
     # eight periods more keep every position of the layer positive
     offset_x, offset_y = (speed * unix_s % _SIZE + 8.0 * _SIZE for speed in _WIND_TEXELS_PER_S)
-    return CloudLayer(_transmittance(weather, seed), offset_x, offset_y)
+    return CloudLayer(_make_transmittance(weather, seed), offset_x, offset_y)
 
 
 @lru_cache(maxsize=4)
-def _transmittance(weather: Weather, seed: int) -> NDArray[np.float32]:
+def _make_transmittance(weather: Weather, seed: int) -> NDArray[np.float32]:
     noise = _fractal_noise(np.random.default_rng([seed, 77]))
     match weather:
         case "veil":

@@ -19,26 +19,26 @@ __all__ = ["Bump", "ImagerOptions", "PictureOptions", "SceneOptions", "SensorMod
 
 def simulate_imager(options: ImagerOptions) -> None:
     """Run a simulated imager until SIGTERM or SIGINT; SIGUSR1 halves its speed."""
-    run_imager(options, _stopping(), running=_slow_on_signal)
+    run_imager(options, _install_stop_handlers(), running=_install_speed_handler)
 
 
 def simulate_pictures(options: PictureOptions, folder: Path) -> None:
     """Write the pictures of a simulated camera into a folder until SIGTERM or SIGINT."""
-    write_pictures(options, folder, SystemClock(), _stopping())
+    write_pictures(options, folder, SystemClock(), _install_stop_handlers())
 
 
 def simulate_http(options: PictureOptions, address: tuple[str, int], *, login: Path | None) -> None:
     """Give the present picture of a simulated camera by HTTP until SIGTERM or SIGINT, to whom has the file's login."""
     server = PictureServer(PresentPicture(options, SystemClock()), login=read_login(login, setting="--token-file"))
-    serve_pictures(server, address, _stopping())
+    serve_pictures(server, address, _install_stop_handlers())
 
 
-def _stopping() -> threading.Event:
+def _install_stop_handlers() -> threading.Event:
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
     return stop
 
 
-def _slow_on_signal(camera: FakeCamera) -> None:
+def _install_speed_handler(camera: FakeCamera) -> None:
     signal.signal(signal.SIGUSR1, lambda *_: halve_speed(camera))

@@ -131,18 +131,18 @@ def benchmark_case(number: int, *, seed: int, night: bool) -> tuple[BenchmarkCas
     """
     rng = np.random.default_rng((seed, number))
     kind, condition = LENSES[number % len(LENSES)], CONDITIONS[number % len(CONDITIONS)]
-    site = _site(rng)
-    instrument = _instrument(kind, rng, site)
-    times = _times(rng, site, condition)
-    times = times[_in_image(instrument.camera, instrument.sees(sun_directions(times, site)))]
+    site = _draw_site(rng)
+    instrument = _draw_instrument(kind, rng, site)
+    times = _draw_times(rng, site, condition)
+    times = times[_is_in_image(instrument.camera, instrument.sees(sun_directions(times, site)))]
     before = instrument
     if condition == "moved_mount":
         instrument = instrument.turned(rng, float(rng.uniform(0.5, 3.0)))
-    sightings = _sun(rng, times, site, (before, instrument), condition)
+    sightings = _draw_sun_sightings(rng, times, site, (before, instrument), condition)
     if night:
         sightings = _add_night_stars(rng, sightings, site, instrument)
     apparent = np.where((sightings.body == SUN)[:, None], sun_directions(sightings.unix_s, site), sightings.directions)
-    truth = _truth(rng, instrument, apparent, kind=kind, condition=condition, answerable=night or times.size > 60)
+    truth = _draw_truth(rng, instrument, apparent, kind=kind, condition=condition, answerable=night or times.size > 60)
     case = BenchmarkCase(
         name=f"{'n' if night else 's'}{number:03d}",
         site=site,
@@ -162,14 +162,14 @@ def benchmark_cases(
     return (benchmark_case(number, seed=seed, night=night) for number in range(first, first + count))
 
 
-def _site(rng: np.random.Generator) -> Site:
+def _draw_site(rng: np.random.Generator) -> Site:
     side = 1.0 if rng.random() < 0.7 else -1.0
     return Site(
         latitude=side * rng.uniform(15.0, 58.0), longitude=rng.uniform(-150.0, 150.0), altitude=rng.uniform(0.0, 1500.0)
     )
 
 
-def _instrument(kind: str, rng: np.random.Generator, site: Site) -> _Instrument:
+def _draw_instrument(kind: str, rng: np.random.Generator, site: Site) -> _Instrument:
     """Draw a lens of a kind on its mount."""
     size, edge, wave_px, tilt = (_USUAL_PX, _USUAL_PX), 90.0, 1.0, abs(float(rng.normal(0.0, 2.5)))
     projection: Projection = "equisolid"
@@ -194,7 +194,7 @@ def _instrument(kind: str, rng: np.random.Generator, site: Site) -> _Instrument:
         projection=projection,
         focal_length_px=(focal, focal),
         principal_point_px=((size[0] - 1) / 2.0, (size[1] - 1) / 2.0),
-        rotation_cam_enu=_pose(tilt_deg=tilt, toward_deg=lean, turn_deg=float(rng.uniform(0.0, 360.0))),
+        rotation_cam_enu=_make_rotation(tilt_deg=tilt, toward_deg=lean, turn_deg=float(rng.uniform(0.0, 360.0))),
         max_angle=math.radians(89.0 if projection == "perspective" else edge + 3.0),
     )
     longer = focal * (1.0 + rng.normal(0.0, 0.008))
@@ -207,11 +207,11 @@ def _instrument(kind: str, rng: np.random.Generator, site: Site) -> _Instrument:
     scale = wave_px * min(size) / _USUAL_PX * (6.0 if kind == "unknown" else 1.0)
     lobes = 2.0 * min(size) / _USUAL_PX if kind == "unknown" else 0.0
     nominal = _turn_camera(nominal, rng, _COMPASS_DEG)
-    waves = _waves(rng, scale_px=scale, lobes_px=lobes, edge=math.radians(edge))
+    waves = _draw_displacement(rng, scale_px=scale, lobes_px=lobes, edge=math.radians(edge))
     return _Instrument(camera=camera, nominal=nominal, known=kind != "unknown", outwards_px=waves)
 
 
-def _waves(
+def _draw_displacement(
     rng: np.random.Generator, *, scale_px: float, lobes_px: float, edge: float
 ) -> Callable[[FloatArray, FloatArray], FloatArray]:
     """Draw a smooth displacement outwards: four cosines of the angle off the axis, three lobes about it."""
@@ -229,7 +229,7 @@ def _waves(
     return outwards
 
 
-def _pose(*, tilt_deg: float, toward_deg: float, turn_deg: float) -> tuple[float, float, float]:
+def _make_rotation(*, tilt_deg: float, toward_deg: float, turn_deg: float) -> tuple[float, float, float]:
     # the axis leans towards the third angle, and the image is turned about it by the first
     return rotation_from_pose_angles(PoseAngles(phi_xz_deg=turn_deg, theta_zz_deg=tilt_deg, psi_z_deg=toward_deg))
 
@@ -240,7 +240,7 @@ def _turn_camera(camera: Camera, rng: np.random.Generator, degrees: float) -> Ca
     return replace(camera, rotation_cam_enu=rotation_vector(turn @ rotation_matrix(camera.rotation_cam_enu)))
 
 
-def _times(rng: np.random.Generator, site: Site, condition: str) -> FloatArray:
+def _draw_times(rng: np.random.Generator, site: Site, condition: str) -> FloatArray:
     """Draw the true times of the sightings: two days twelve apart, half a day or twenty minutes."""
     # from May to August in the north, from November to February in the south
     begin = 1_367_366_400.0 if site.latitude > 0.0 else 1_351_728_000.0
@@ -257,7 +257,7 @@ def _times(rng: np.random.Generator, site: Site, condition: str) -> FloatArray:
     return np.asarray(times[sun_directions(times, site)[:, 2] > math.sin(math.radians(_LOWEST_SUN_DEG))])
 
 
-def _sun(
+def _draw_sun_sightings(
     rng: np.random.Generator,
     times: FloatArray,
     site: Site,
@@ -278,7 +278,7 @@ def _sun(
         for k in range(1, len(noise)):  # AR(1)
             noise[k] += 0.9 * noise[k - 1]
     elif condition == "cloud":
-        noise, kept = _clouded(rng, noise, unit)
+        noise, kept = _add_cloud_errors(rng, noise, unit)
     elif condition == "haze":
         # the lower edge fades first: the sun is found too high, the lower the more
         up = after.sees(_lift_directions(directions, 0.05)) - pixels
@@ -288,7 +288,7 @@ def _sun(
     if condition == "drifting_clock":
         recorded = times + rng.uniform(-3.0, 3.0) + rng.uniform(-6.0, 6.0) * (times - times[:1]) / DAY_S / 12.0
     seen = pixels + noise
-    kept &= _in_image(after.camera, seen)
+    kept &= _is_in_image(after.camera, seen)
     return Sightings.of(unix_s=recorded[kept], pixels=seen[kept], body=np.full(int(kept.sum()), SUN))
 
 
@@ -297,7 +297,7 @@ def _lift_directions(directions: FloatArray, degrees: float) -> FloatArray:
     return direction_from_angles(zenith_deg=np.maximum(zenith - degrees, 0.0), azimuth_deg=azimuth)
 
 
-def _clouded(rng: np.random.Generator, noise: FloatArray, unit: float) -> tuple[FloatArray, BoolArray]:
+def _add_cloud_errors(rng: np.random.Generator, noise: FloatArray, unit: float) -> tuple[FloatArray, BoolArray]:
     """Return errors with episodes of cloud that draw detections to one side, a third of the time; and the rows kept."""
     count = noise.shape[0]
     covered, episode = np.zeros(count, dtype=bool), np.zeros_like(noise)
@@ -324,7 +324,7 @@ def _add_night_stars(rng: np.random.Generator, sightings: Sightings, site: Site,
         sky = sky.select(sky.directions[:, 2] > math.cos(math.radians(_STAR_ZENITH_DEG)))
         own = _STAR_SIGMA_PX * 2.0 ** (sky.magnitude / 3.0 - 1.0)
         seen = instrument.sees(sky.directions) + own[:, None] * rng.standard_normal((len(sky), 2))
-        shown = _in_image(instrument.camera, seen) & (rng.random(len(sky)) > 0.1)
+        shown = _is_in_image(instrument.camera, seen) & (rng.random(len(sky)) > 0.1)
         names += [str(name) for name in sky.names[shown]]
         times.append(np.full(int(shown.sum()), moment))
         pixels.append(seen[shown])
@@ -340,12 +340,12 @@ def _add_night_stars(rng: np.random.Generator, sightings: Sightings, site: Site,
     )
 
 
-def _in_image(camera: Camera, pixels: FloatArray) -> BoolArray:
+def _is_in_image(camera: Camera, pixels: FloatArray) -> BoolArray:
     inside = (pixels >= 0.0) & (pixels <= np.array([camera.width, camera.height]) - 1.0)
     return np.asarray(np.all(inside, axis=-1))
 
 
-def _truth(
+def _draw_truth(
     rng: np.random.Generator,
     instrument: _Instrument,
     sighted: FloatArray,
@@ -359,8 +359,8 @@ def _truth(
     cosine, sine = math.cos(spin), math.sin(spin)
     every = spread @ np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
     seen = instrument.sees(every)
-    slopes = np.stack([_slope(instrument, every, side) for side in neighbouring_directions(every)], axis=-1)
-    rows = np.flatnonzero(_in_image(instrument.camera, seen) & np.all(np.isfinite(slopes), axis=(-2, -1)))
+    slopes = np.stack([_pixels_per_degree(instrument, every, side) for side in neighbouring_directions(every)], axis=-1)
+    rows = np.flatnonzero(_is_in_image(instrument.camera, seen) & np.all(np.isfinite(slopes), axis=(-2, -1)))
     rows = np.sort(rng.permutation(rows)[:_QUERIES])
     directions = every[rows]
     return BenchmarkTruth(
@@ -371,7 +371,7 @@ def _truth(
         directions=directions,
         track_deg=degrees_to_nearest(directions, sighted),
         px_per_deg=slopes[rows],
-        fallback_deg=_fallback(instrument, directions),
+        fallback_deg=_nominal_error_deg(instrument, directions),
     )
 
 
@@ -382,16 +382,16 @@ def neighbouring_directions(directions: FloatArray) -> tuple[FloatArray, FloatAr
     return down, np.stack([np.cos(azimuth), -np.sin(azimuth), np.zeros_like(azimuth)], axis=-1)
 
 
-def _slope(instrument: _Instrument, directions: FloatArray, side: FloatArray) -> FloatArray:
+def _pixels_per_degree(instrument: _Instrument, directions: FloatArray, side: FloatArray) -> FloatArray:
     """Return (m, 2): px a degree by a change of directions (m, 3) to a side (m, 3)."""
-    ends = [instrument.sees(_unit(directions + sign * _STEP * side)) for sign in (1.0, -1.0)]
+    ends = [instrument.sees(_normalize_rows(directions + sign * _STEP * side)) for sign in (1.0, -1.0)]
     return np.asarray((ends[0] - ends[1]) / (2.0 * math.degrees(_STEP)))
 
 
-def _fallback(instrument: _Instrument, directions: FloatArray) -> FloatArray:
+def _nominal_error_deg(instrument: _Instrument, directions: FloatArray) -> FloatArray:
     """Return the error (m,), degrees, of the nominal camera: its pixel's distance by its own scale there."""
     nominal = replace(instrument.nominal, max_angle=math.pi)
-    beside = _unit(directions + _STEP * tangent_basis(directions)[..., 0])
+    beside = _normalize_rows(directions + _STEP * tangent_basis(directions)[..., 0])
     here = project(nominal, directions)
     scale = np.linalg.norm(project(nominal, beside) - here, axis=-1) / math.degrees(_STEP)
     error = np.linalg.norm(here - instrument.sees(directions), axis=-1) / np.maximum(scale, 1e-9)
@@ -407,5 +407,5 @@ def degrees_to_nearest(directions: FloatArray, sighted: FloatArray) -> FloatArra
     return np.asarray(np.degrees(np.arccos(np.clip((directions @ known.T).max(axis=-1), -1.0, 1.0))))
 
 
-def _unit(vectors: FloatArray) -> FloatArray:
+def _normalize_rows(vectors: FloatArray) -> FloatArray:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))

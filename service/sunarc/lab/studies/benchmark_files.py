@@ -90,19 +90,19 @@ def _write_case(folder: Path, case: BenchmarkCase, part: str) -> None:
         writer.writerow(_SEEN)
         for k, body in enumerate(seen.body.tolist()):
             time = rfc3339(utc_time(float(seen.unix_s[k])), timespec="milliseconds")
-            angles = [_cell(value) for value in stated[k]] if body != SUN else ["", ""]
-            cells = [*(_cell(value) for value in seen.pixels[k]), _cell(seen.sigma_px[k]), body, *angles]
-            writer.writerow([time, *cells, *(_cell(value) for value in apparent[k])])
+            angles = [_format_cell(value) for value in stated[k]] if body != SUN else ["", ""]
+            cells = [*(_format_cell(value) for value in seen.pixels[k]), _format_cell(seen.sigma_px[k]), body, *angles]
+            writer.writerow([time, *cells, *(_format_cell(value) for value in apparent[k])])
 
 
 def _write_rows(path: Path, columns: Sequence[str], rows: FloatArray) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)
-        writer.writerows([_cell(value) for value in row] for row in rows)
+        writer.writerows([_format_cell(value) for value in row] for row in rows)
 
 
-def _cell(value: float) -> str:
+def _format_cell(value: float) -> str:
     return f"{value:.6f}" if math.isfinite(value) else ""
 
 
@@ -118,7 +118,7 @@ def read_round(folder: Path) -> tuple[list[str], str]:
     InputError
         Where the folder has no round that can be read.
     """
-    stated = _object(folder / _ROUND)
+    stated = _read_json_object(folder / _ROUND)
     cases = stated.get("cases")
     if stated.get("format") != FORMAT or not isinstance(cases, list):
         raise InputError(field=str(folder / _ROUND), problem="not a round of format 1", remedy="make one")
@@ -133,12 +133,14 @@ def read_case(folder: Path) -> BenchmarkCase:
     InputError
         Where a file is missing or damaged.
     """
-    facts = _object(folder / "case.json")
-    rows = list(_table(folder / "sightings.csv", _SEEN))
-    asked = _numbers(folder / "queries.csv", _QUERY)
+    facts = _read_json_object(folder / "case.json")
+    rows = list(_read_table_rows(folder / "sightings.csv", _SEEN))
+    asked = _read_number_columns(folder / "queries.csv", _QUERY)
     try:
         site = Site(latitude=facts["latitude"], longitude=facts["longitude"], altitude=facts["altitude"])
-        columns = np.array([[_number(row[name]) for name in _SEEN if name not in {"time_utc", "body"}] for row in rows])
+        columns = np.array(
+            [[_parse_number(row[name]) for name in _SEEN if name not in {"time_utc", "body"}] for row in rows]
+        )
         columns = columns.reshape(-1, 7)
         return BenchmarkCase(
             name=str(facts["case"]),
@@ -168,8 +170,8 @@ def read_truth(folder: Path) -> dict[str, BenchmarkTruth]:
         Where a file is missing or damaged.
     """
     truths = {}
-    for name, about in dict(_object(folder / _ROUND).get("cases", {})).items():
-        columns = _numbers(folder / f"{name}.csv", _TRUE)
+    for name, about in dict(_read_json_object(folder / _ROUND).get("cases", {})).items():
+        columns = _read_number_columns(folder / f"{name}.csv", _TRUE)
         truths[str(name)] = BenchmarkTruth(
             lens=str(about["lens"]),
             condition=str(about["condition"]),
@@ -193,7 +195,7 @@ def read_entry(folder: Path, truths: Mapping[str, BenchmarkTruth]) -> dict[str, 
     """
     if not folder.is_dir():
         raise InputError(field=str(folder), problem="not a folder", remedy="name the folder of an entry")
-    stated = _stated(folder / _STATED)
+    stated = _read_statements(folder / _STATED)
     files = {path.stem: path for path in sorted(folder.glob("*.csv")) if path.name != _STATED}
     files |= {path.stem: path for path in sorted(folder.glob("*.json")) if path.name != "entry.json"}
     answers: dict[str, Answered] = {}
@@ -208,7 +210,7 @@ def read_entry(folder: Path, truths: Mapping[str, BenchmarkTruth]) -> dict[str, 
                 found = Finding("benchmark_entry_unreadable", {"case": name, "problem": "the entrant failed"})
                 answers[name] = Answered(answer="failed", directions=nothing, processor_s=seconds, findings=(found,))
         else:
-            answers[name] = _answered(name, files[name], truth, seconds)
+            answers[name] = _read_answer(name, files[name], truth, seconds)
     return answers
 
 
@@ -224,7 +226,7 @@ def write_entry(answers: Iterable[tuple[BenchmarkCase, Answered]], *, folder: Pa
     with disk_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
         for case, given in answers:
-            stated.append([case.name, given.answer, _cell(given.processor_s)])
+            stated.append([case.name, given.answer, _format_cell(given.processor_s)])
             if given.answer == "answered":
                 zenith, azimuth = angles_from_direction(given.directions)
                 columns = np.column_stack([case.queries, zenith, azimuth])
@@ -246,21 +248,21 @@ def _stated_errors(covariance: FloatArray) -> tuple[FloatArray, FloatArray, Floa
     return sigmas[:, 0], sigmas[:, 1], covariance[:, 0, 1] / (sigmas[:, 0] * sigmas[:, 1])
 
 
-def _stated(path: Path) -> dict[str, tuple[str, float]]:
+def _read_statements(path: Path) -> dict[str, tuple[str, float]]:
     """Return the statements of an entry about its cases: a status and the processor's time; empty without them."""
     try:
-        rows = list(_table(path, ("case", "status")))
+        rows = list(_read_table_rows(path, ("case", "status")))
     except InputError:
         return {}
-    return {row["case"]: (row["status"].strip(), _number(row.get("processor_s", ""))) for row in rows}
+    return {row["case"]: (row["status"].strip(), _parse_number(row.get("processor_s", ""))) for row in rows}
 
 
-def _answered(name: str, path: Path, truth: BenchmarkTruth, seconds: float) -> Answered:
+def _read_answer(name: str, path: Path, truth: BenchmarkTruth, seconds: float) -> Answered:
     """Return the answer in a table of directions or in a calibration document."""
     try:
         if path.suffix == ".json":
-            return collect_answers(from_document(_object(path)), truth.pixels, processor_s=seconds)
-        return _match_rows(name, list(_table(path, (*_QUERY, *_ANGLES))), truth, seconds)
+            return collect_answers(from_document(_read_json_object(path)), truth.pixels, processor_s=seconds)
+        return _match_rows(name, list(_read_table_rows(path, (*_QUERY, *_ANGLES))), truth, seconds)
     except InputError as error:
         found = Finding("benchmark_entry_unreadable", {"case": name, "problem": str(error)})
         nothing = np.full((len(truth.pixels), 3), np.nan)
@@ -269,7 +271,7 @@ def _answered(name: str, path: Path, truth: BenchmarkTruth, seconds: float) -> A
 
 def _match_rows(name: str, rows: Sequence[Mapping[str, str]], truth: BenchmarkTruth, seconds: float) -> Answered:
     """Return a table's rows in the order of the queries, matched by their pixels."""
-    given = np.array([[_number(row[column]) for column in (*_QUERY, *_ANGLES)] for row in rows]).reshape(-1, 4)
+    given = np.array([[_parse_number(row[column]) for column in (*_QUERY, *_ANGLES)] for row in rows]).reshape(-1, 4)
     total, first, findings = len(truth.pixels), np.full(len(truth.pixels), -1), []
     unknown = repeated = 0
     for k, pixel in enumerate(given[:, :2]):
@@ -292,11 +294,11 @@ def _match_rows(name: str, rows: Sequence[Mapping[str, str]], truth: BenchmarkTr
     directions, covariance = np.full((total, 3), np.nan), np.full((total, 2, 2), np.nan)
     zenith, azimuth = given[first[known], 2], given[first[known], 3]
     directions[known] = direction_from_angles(zenith_deg=zenith, azimuth_deg=azimuth)
-    errors, scales = _errors(picked), np.ones((total, len(SHARES)))
+    errors, scales = _read_covariances(picked), np.ones((total, len(SHARES)))
     if errors is not None:
         covariance[known] = errors
     if picked and all(column in picked[0] for column in _SCALES):
-        scales[known] = [[_number(row[column]) for column in _SCALES] for row in picked]
+        scales[known] = [[_parse_number(row[column]) for column in _SCALES] for row in picked]
     return Answered(
         answer="answered",
         directions=directions,
@@ -307,15 +309,15 @@ def _match_rows(name: str, rows: Sequence[Mapping[str, str]], truth: BenchmarkTr
     )
 
 
-def _errors(rows: Sequence[Mapping[str, str]]) -> FloatArray | None:
+def _read_covariances(rows: Sequence[Mapping[str, str]]) -> FloatArray | None:
     """Return the stated covariances (n, 2, 2), deg²; None where the table has no columns of them."""
     if not rows:
         return None
     if {"sigma_zenith_deg", "sigma_azimuth_deg"} <= set(rows[0]):
-        across = np.array([[_number(row[f"sigma_{axis}_deg"]) for axis in ("zenith", "azimuth")] for row in rows])
-        correlation = np.array([_number(row.get("correlation") or "0") for row in rows])
+        across = np.array([[_parse_number(row[f"sigma_{axis}_deg"]) for axis in ("zenith", "azimuth")] for row in rows])
+        correlation = np.array([_parse_number(row.get("correlation") or "0") for row in rows])
     elif "sigma_deg" in rows[0]:
-        across = np.repeat([[_number(row["sigma_deg"])] for row in rows], 2, axis=1)
+        across = np.repeat([[_parse_number(row["sigma_deg"])] for row in rows], 2, axis=1)
         correlation = np.zeros(len(rows))
     else:
         return None
@@ -324,7 +326,7 @@ def _errors(rows: Sequence[Mapping[str, str]]) -> FloatArray | None:
     return np.stack([np.column_stack([across[:, 0] ** 2, mixed]), np.column_stack([mixed, across[:, 1] ** 2])], axis=1)
 
 
-def _object(path: Path) -> dict[str, Any]:
+def _read_json_object(path: Path) -> dict[str, Any]:
     try:
         found = json.loads(read_regular(path))
     except (OSError, ValueError, RecursionError) as error:
@@ -334,7 +336,7 @@ def _object(path: Path) -> dict[str, Any]:
     return found
 
 
-def _table(path: Path, required: Sequence[str]) -> Iterator[dict[str, str]]:
+def _read_table_rows(path: Path, required: Sequence[str]) -> Iterator[dict[str, str]]:
     """Yield the rows of a CSV file, without cells that are beyond its header."""
     try:
         with TextIOWrapper(open_regular(path), newline="", encoding="utf-8-sig") as file:
@@ -348,12 +350,12 @@ def _table(path: Path, required: Sequence[str]) -> Iterator[dict[str, str]]:
         raise InputError(field=str(path), problem=f"cannot be read: {error}", remedy="give a CSV file") from error
 
 
-def _numbers(path: Path, columns: Sequence[str]) -> FloatArray:
-    rows = [[_number(row[name]) for name in columns] for row in _table(path, columns)]
+def _read_number_columns(path: Path, columns: Sequence[str]) -> FloatArray:
+    rows = [[_parse_number(row[name]) for name in columns] for row in _read_table_rows(path, columns)]
     return np.array(rows, dtype=np.float64).reshape(-1, len(columns))
 
 
-def _number(text: str) -> float:
+def _parse_number(text: str) -> float:
     """Return a number; NaN for other values, and for an infinite one."""
     try:
         number = float(text)

@@ -63,7 +63,7 @@ class Answered:
     findings: tuple[Finding, ...] = ()
 
 
-class _Rows(NamedTuple):
+class _CaseErrors(NamedTuple):
     """Errors of one case: (m,) degrees, px, and squared in stated sigmas; (m, 3) whether within; NaN: none stated."""
 
     error_deg: FloatArray
@@ -179,21 +179,21 @@ def score(entrant: str, truths: Mapping[str, BenchmarkTruth], answers: Mapping[s
     answers : by case; others than those of the truths are a finding.
     """
     findings = [Finding("benchmark_case_unknown", {"case": name}) for name in sorted(set(answers) - set(truths))]
-    judged: list[tuple[BenchmarkTruth, Answered, _Rows]] = []
+    judged: list[tuple[BenchmarkTruth, Answered, _CaseErrors]] = []
     cases: list[CaseScore] = []
     for name, truth in truths.items():
         given = answers.get(name)
         if given is None:
             given = Answered(answer="failed", directions=np.full(truth.directions.shape, np.nan))
             findings.append(Finding("benchmark_case_missing", {"case": name}))
-        rows, found = _rows(name, truth, given)
+        rows, found = _compute_case_errors(name, truth, given)
         findings += [*given.findings, *found]
         judged.append((truth, given, rows))
-        cases.append(_case_score(name, truth, given, rows))
+        cases.append(_make_case_score(name, truth, given, rows))
     times = [case.processor_s for case in cases if math.isfinite(case.processor_s)]
     return Score(
         entrant=entrant,
-        bands=tuple(_bands(judged)),
+        bands=tuple(_score_bands(judged)),
         cases=tuple(cases),
         refused_rightly=sum(case.answer == "refused" and not case.answerable for case in cases),
         unanswerable=sum(not case.answerable for case in cases),
@@ -207,7 +207,7 @@ def score(entrant: str, truths: Mapping[str, BenchmarkTruth], answers: Mapping[s
     )
 
 
-def _rows(name: str, truth: BenchmarkTruth, given: Answered) -> tuple[_Rows, list[Finding]]:
+def _compute_case_errors(name: str, truth: BenchmarkTruth, given: Answered) -> tuple[_CaseErrors, list[Finding]]:
     """Return the errors of a case, and the fault in its numbers."""
     total = truth.directions.shape[0]
     known = np.all(np.isfinite(given.directions), axis=-1) & (given.answer == "answered")
@@ -221,8 +221,8 @@ def _rows(name: str, truth: BenchmarkTruth, given: Answered) -> tuple[_Rows, lis
     offset = tangent / np.maximum(length, 1e-300)[:, None] * angle[:, None]
     error_px = np.linalg.norm(np.einsum("nab,nb->na", truth.px_per_deg, offset), axis=-1)
     scale = np.sqrt(np.abs(np.linalg.det(truth.px_per_deg)))
-    square, within, found = _within(name, offset, given, known)
-    rows = _Rows(
+    square, within, found = _compare_with_stated(name, offset, given, known)
+    rows = _CaseErrors(
         error_deg=np.where(known, angle, truth.fallback_deg),
         error_px=np.where(known, error_px, truth.fallback_deg * scale),
         square=square,
@@ -235,7 +235,7 @@ def _rows(name: str, truth: BenchmarkTruth, given: Answered) -> tuple[_Rows, lis
     return rows, found
 
 
-def _within(
+def _compare_with_stated(
     name: str, offset: FloatArray, given: Answered, known: BoolArray
 ) -> tuple[FloatArray, FloatArray, list[Finding]]:
     """Return (m,) squares in stated sigmas, and (m, 3) whether within; NaN where no error or direction is stated."""
@@ -263,7 +263,7 @@ def _within(
     return squares, within, found
 
 
-def _case_score(name: str, truth: BenchmarkTruth, given: Answered, rows: _Rows) -> CaseScore:
+def _make_case_score(name: str, truth: BenchmarkTruth, given: Answered, rows: _CaseErrors) -> CaseScore:
     median, stated = float(np.median(rows.error_deg)), rows.square[np.isfinite(rows.within[:, 0])]
     return CaseScore(
         case=name,
@@ -279,21 +279,21 @@ def _case_score(name: str, truth: BenchmarkTruth, given: Answered, rows: _Rows) 
     )
 
 
-def _bands(judged: Sequence[tuple[BenchmarkTruth, Answered, _Rows]]) -> Iterator[BandScore]:
+def _score_bands(judged: Sequence[tuple[BenchmarkTruth, Answered, _CaseErrors]]) -> Iterator[BandScore]:
     """Yield the scores of each band, of the pixels far from the track, and of all."""
     if not judged:
         return
     zenith = np.concatenate([angles_from_direction(truth.directions)[0] for truth, _, _ in judged])
     track = np.concatenate([truth.track_deg for truth, _, _ in judged])
-    rows = _Rows(*(np.concatenate(columns) for columns in zip(*(rows for _, _, rows in judged), strict=True)))
+    rows = _CaseErrors(*(np.concatenate(columns) for columns in zip(*(rows for _, _, rows in judged), strict=True)))
     chosen = {name: (zenith >= low) & (zenith < high) for name, (low, high) in BANDS.items()}
     chosen |= {"far": track > FAR_DEG, "all": np.ones(zenith.size, dtype=bool)}
     for name, of_band in chosen.items():
         if np.any(of_band):
-            yield _score_band(name, _Rows(*(column[of_band] for column in rows)))
+            yield _score_band(name, _CaseErrors(*(column[of_band] for column in rows)))
 
 
-def _score_band(name: str, rows: _Rows) -> BandScore:
+def _score_band(name: str, rows: _CaseErrors) -> BandScore:
     """Return the statistics of the errors in a band of zenith angles, of all, or of those far from the track."""
     stated = rows.within[np.isfinite(rows.within[:, 0])]
     shares = [float(np.mean(stated[:, k])) if len(stated) else math.nan for k in range(len(SHARES))]
@@ -311,16 +311,16 @@ def _score_band(name: str, rows: _Rows) -> BandScore:
 def as_object(one: Score) -> dict[str, Any]:
     """Return a score as JSON holds it; a value that is not a number is null."""
 
-    def plain(value: object) -> object:
+    def replace_nonfinite(value: object) -> object:
         if isinstance(value, float):
             return value if math.isfinite(value) else None
         if isinstance(value, dict):
-            return {key: plain(held) for key, held in value.items()}
-        return [plain(held) for held in value] if isinstance(value, list | tuple) else value
+            return {key: replace_nonfinite(held) for key, held in value.items()}
+        return [replace_nonfinite(held) for held in value] if isinstance(value, list | tuple) else value
 
     stored = asdict(replace(one, findings=()))
     findings = [{**finding.as_json(), "text": finding.text} for finding in one.findings]
-    return {key: plain(value) for key, value in stored.items()} | {"findings": findings}
+    return {key: replace_nonfinite(value) for key, value in stored.items()} | {"findings": findings}
 
 
 def render_tables(scores: Sequence[Score]) -> str:
@@ -337,16 +337,16 @@ def render_tables(scores: Sequence[Score]) -> str:
             str(one.wrong),
             str(one.far),
             str(one.lost),
-            _figure(one.processor_s),
+            _format_two_digits(one.processor_s),
         ]
         parts.append(f"| {one.entrant} | {' | '.join(cells)} |")
     for title, name in (("Median and 90 % of the error, degrees", "deg"), ("The same, px", "px")):
-        parts += ["", f"{title}:", "", *_error_table(scores, name)]
-    parts += ["", "Share of the truth within the stated 50, 68 and 95 %:", "", *_share_table(scores)]
+        parts += ["", f"{title}:", "", *_format_error_table(scores, name)]
+    parts += ["", "Share of the truth within the stated 50, 68 and 95 %:", "", *_format_share_table(scores)]
     return "\n".join(parts) + "\n"
 
 
-def _error_table(scores: Sequence[Score], unit: str) -> Iterator[str]:
+def _format_error_table(scores: Sequence[Score], unit: str) -> Iterator[str]:
     names = [band.band for band in scores[0].bands] if scores else []
     yield f"| entrant | {' | '.join(names)} |"
     yield f"|---|{'--:|' * len(names)}"
@@ -356,12 +356,15 @@ def _error_table(scores: Sequence[Score], unit: str) -> Iterator[str]:
         cells = []
         for k, band in enumerate(one.bands):
             values = [(getattr(band, name), best[name][k]) for name in columns]
-            shown = [_figure(value) if value > least else f"**{_figure(value)}**" for value, least in values]
+            shown = [
+                _format_two_digits(value) if value > least else f"**{_format_two_digits(value)}**"
+                for value, least in values
+            ]
             cells.append(", ".join(shown))
         yield f"| {one.entrant} | {' | '.join(cells)} |"
 
 
-def _share_table(scores: Sequence[Score]) -> Iterator[str]:
+def _format_share_table(scores: Sequence[Score]) -> Iterator[str]:
     names = [band.band for band in scores[0].bands] if scores else []
     yield f"| entrant | {' | '.join(names)} |"
     yield f"|---|{'--:|' * len(names)}"
@@ -375,6 +378,6 @@ def _share_table(scores: Sequence[Score]) -> Iterator[str]:
         yield f"| {one.entrant} | {' | '.join(cells)} |"
 
 
-def _figure(value: float) -> str:
+def _format_two_digits(value: float) -> str:
     """Return two significant digits."""
     return "–" if not math.isfinite(value) else f"{value:.0f}" if value >= 9.95 else significant(value, 2)

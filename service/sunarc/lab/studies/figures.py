@@ -28,13 +28,13 @@ def shadow_figure(rows: Sequence[ShadowRow]) -> Figure:
     of_height = [row for row in rows if row.height_m == _HEIGHT_M]
     for colour, baseline in zip(_SHADOW_COLOURS, sorted({row.baseline_m for row in of_height}), strict=False):
         chosen = [row for row in of_height if row.baseline_m == baseline]
-        _draw(height, chosen, "height_sigma_m", colour, f"baseline {baseline:g} m")
+        _draw_curve(height, chosen, "height_sigma_m", colour, f"baseline {baseline:g} m")
     of_baseline = [row for row in rows if row.baseline_m == _BASELINE_M]
     for colour, level in zip(_SHADOW_COLOURS, sorted({row.height_m for row in of_baseline}), strict=False):
         chosen = [row for row in of_baseline if row.height_m == level]
-        _draw(shadow, chosen, "shadow_pair_sigma_m", colour, f"base {level:g} m, by the pair")
-        _draw(shadow, chosen, "shadow_sigma_m", colour, "the same, height known", style="--")
-        _draw(ramp, chosen, "ramp_error_w_m2", colour, f"base {level:g} m")
+        _draw_curve(shadow, chosen, "shadow_pair_sigma_m", colour, f"base {level:g} m, by the pair")
+        _draw_curve(shadow, chosen, "shadow_sigma_m", colour, "the same, height known", style="--")
+        _draw_curve(ramp, chosen, "ramp_error_w_m2", colour, f"base {level:g} m")
     letter(height, x=_SIGMA, y="cloud base height, 1-sigma (m)", title=f"height by a pair, base {_HEIGHT_M:g} m")
     letter(shadow, x=_SIGMA, y="shadow, 1-sigma per axis (m)", title=f"shadow, baseline {_BASELINE_M:g} m")
     letter(
@@ -46,7 +46,7 @@ def shadow_figure(rows: Sequence[ShadowRow]) -> Figure:
     return figure
 
 
-def _draw(axes: Axes, rows: Sequence[ShadowRow], name: str, colour: str, label: str, *, style: str = "-") -> None:
+def _draw_curve(axes: Axes, rows: Sequence[ShadowRow], name: str, colour: str, label: str, *, style: str = "-") -> None:
     ordered = sorted(rows, key=lambda row: row.sigma_deg)
     values = [getattr(row, name) for row in ordered]
     axes.loglog([row.sigma_deg for row in ordered], values, style, marker=".", color=colour, label=label, linewidth=1.6)
@@ -78,7 +78,7 @@ def rmse_figure(study: UncertaintyStudy) -> Figure:
     letter(on_arc, x=_NOISE, y=label, title="on the arc (Eq. 28, Fig. 4)")
     letter(on_sky, x=_NOISE, y=label, title="over the whole sky")
     key(on_arc, location="upper left", columns=2)
-    figure.suptitle(_study_headline(study), fontsize=TITLE_PT)
+    figure.suptitle(_format_headline(study), fontsize=TITLE_PT)
     return figure
 
 
@@ -92,7 +92,7 @@ def parameter_figure(study: UncertaintyStudy) -> Figure:
             _draw_parameter(axes, study, method, number + 2)
             letter(axes, x=_NOISE, y=f"{names[number]} − truth (px)", title=f"{names[number]}, {method} method")
         key(row[0], location="lower left")
-    figure.suptitle(_study_headline(study), fontsize=TITLE_PT)
+    figure.suptitle(_format_headline(study), fontsize=TITLE_PT)
     return figure
 
 
@@ -113,7 +113,7 @@ def _draw_parameter(axes: Axes, study: UncertaintyStudy, method: Method, column:
     axes.set_xlim(0.0, float(sigma[-1]))
 
 
-def _study_headline(study: UncertaintyStudy) -> str:
+def _format_headline(study: UncertaintyStudy) -> str:
     count = study.trials[study.methods[0]].shape[1]
     return f"one arc of 13 May 2013, {count} fits a level, seed {study.seed}; bands: 50 % and 90 % of the fits"
 

@@ -38,14 +38,14 @@ class Case:
     cloud_share: float = 0.0
 
 
-def _days(*month_and_day: tuple[int, int]) -> tuple[date, ...]:
+def _make_dates(*month_and_day: tuple[int, int]) -> tuple[date, ...]:
     return tuple(date(2013, month, day) for month, day in month_and_day)
 
 
 CASES = (
     Case(
         number=1,
-        days=_days((5, 13)),
+        days=_make_dates((5, 13)),
         n_points=1582,
         sd_m_px=0.43,
         rmsd_m_px=0.81,
@@ -59,7 +59,7 @@ CASES = (
     ),
     Case(
         number=2,
-        days=_days((5, 13), (5, 14)),
+        days=_make_dates((5, 13), (5, 14)),
         n_points=3195,
         sd_m_px=0.43,
         rmsd_m_px=0.78,
@@ -73,7 +73,7 @@ CASES = (
     ),
     Case(
         number=3,
-        days=_days((5, 13), (5, 14), (6, 2), (6, 11)),
+        days=_make_dates((5, 13), (5, 14), (6, 2), (6, 11)),
         n_points=6543,
         sd_m_px=0.62,
         rmsd_m_px=1.05,
@@ -87,7 +87,7 @@ CASES = (
     ),
     Case(
         number=4,
-        days=_days((5, 13), (5, 14), (5, 22), (6, 1), (6, 2), (6, 3), (6, 7), (6, 9), (6, 10), (6, 11)),
+        days=_make_dates((5, 13), (5, 14), (5, 22), (6, 1), (6, 2), (6, 3), (6, 7), (6, 9), (6, 10), (6, 11)),
         n_points=15966,
         sd_m_px=2.49,
         rmsd_m_px=2.81,
@@ -102,7 +102,7 @@ CASES = (
     ),
     Case(
         number=5,
-        days=_days((6, 7)),
+        days=_make_dates((6, 7)),
         n_points=1482,
         sd_m_px=5.21,
         rmsd_m_px=6.19,

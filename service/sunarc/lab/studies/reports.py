@@ -63,9 +63,9 @@ def write_csv(path: Path, columns: Sequence[str], rows: Sequence[Mapping[str, st
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)
-        writer.writerows([_cell(row.get(column, "")) for column in columns] for row in rows)
+        writer.writerows([_format_cell(row.get(column, "")) for column in columns] for row in rows)
     return path
 
 
-def _cell(value: str | float) -> str:
+def _format_cell(value: str | float) -> str:
     return f"{value:.{_DIGITS}g}" if isinstance(value, float) else str(value)

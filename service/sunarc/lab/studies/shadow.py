@@ -89,7 +89,7 @@ def study_shadow(
     """
     rows = []
     for sigma in sigmas_deg:
-        rows += _rows(turned_errors(sigma, draws=draws, seed=seed), sigma)
+        rows += _compute_shadow_rows(turned_errors(sigma, draws=draws, seed=seed), sigma)
         after_each()
     return rows
 
@@ -102,7 +102,7 @@ def study_calibrated_shadow(calibration: Calibration, *, draws: int, seed: int) 
         pixels = project(calibration.camera, directions)
         return np.stack([ensembles[camera].back_project(draw, pixels) for draw in ensembles[camera]])
 
-    return _rows(seen, calibration.sky_rms_deg)
+    return _compute_shadow_rows(seen, calibration.sky_rms_deg)
 
 
 def pair_height(first: FloatArray, second: FloatArray, *, baseline_m: float) -> FloatArray:
@@ -163,7 +163,7 @@ def turned_errors(sigma_deg: float, *, draws: int, seed: int) -> DirectionErrors
     return seen
 
 
-def _rows(seen: DirectionErrors, sigma_deg: float) -> list[ShadowRow]:
+def _compute_shadow_rows(seen: DirectionErrors, sigma_deg: float) -> list[ShadowRow]:
     sun = direction_from_angles(zenith_deg=SUN_ZENITH_DEG, azimuth_deg=SUN_AZIMUTH_DEG)
     zenith, azimuth = np.meshgrid(_ZENITHS_DEG, _AZIMUTHS_DEG)
     first = direction_from_angles(zenith_deg=zenith.ravel(), azimuth_deg=azimuth.ravel())

@@ -68,12 +68,12 @@ def write_picture(errors: Mapping[str, SkyErrors], path: Path) -> None:
     OutsideError : the file cannot be written.
     """
     largest = max(float(np.nanmax(one.map_px)) for one in errors.values())
-    panels = [_panel(name, one, largest) for name, one in errors.items()]
+    panels = [_draw_panel(name, one, largest) for name, one in errors.items()]
     if not cv2.imwrite(str(path), np.concatenate(panels, axis=1)):
         raise OutsideError(f"{path} cannot be written")
 
 
-def _panel(name: str, errors: SkyErrors, largest: float) -> Image:
+def _draw_panel(name: str, errors: SkyErrors, largest: float) -> Image:
     level = (255.0 * np.nan_to_num(errors.map_px / largest)).astype(np.uint8)
     colours = cv2.applyColorMap(level, cv2.COLORMAP_VIRIDIS)
     colours[np.isnan(errors.map_px)] = _WHITE

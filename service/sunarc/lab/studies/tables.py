@@ -83,9 +83,9 @@ def fitted_row(case: Case, *, method: Method, seed: int) -> TableRow:
         "case": case.number,
         "source": method,
         "n": len(points),
-        **_misfit(fit, arc, points),
-        **_arc_scatter(points),
-        **_parameters(fit.camera),
+        **_misfit_columns(fit, arc, points),
+        **_arc_scatter_columns(points),
+        **_parameter_columns(fit.camera),
         "true_arc_rmse_px": true_error(fit.camera, truth, arc.directions),
         "true_sky_rmse_px": true_error(fit.camera, truth, hemisphere()),
     }
@@ -93,7 +93,7 @@ def fitted_row(case: Case, *, method: Method, seed: int) -> TableRow:
 
 def truth_row(case: Case) -> TableRow:
     """Return the simulation's truth."""
-    return {"case": case.number, "source": "truth", "n": case.n_points, **_parameters(true_camera(0))}
+    return {"case": case.number, "source": "truth", "n": case.n_points, **_parameter_columns(true_camera(0))}
 
 
 def published_row(case: Case) -> TableRow:
@@ -111,13 +111,13 @@ def published_row(case: Case) -> TableRow:
     }
 
 
-def _misfit(fit: Calibration, arc: Sightings, points: Sightings) -> TableRow:
+def _misfit_columns(fit: Calibration, arc: Sightings, points: Sightings) -> TableRow:
     """Return Eq. 27 over all sightings, as the paper has it, whatever the method left out."""
     rmse, mae, sd, sd_of_distance = measures(project(fit.camera, arc.directions) - points.pixels)
     return {"rmse_px": rmse, "mae_px": mae, "sd_px": sd, "sd_of_distance_px": sd_of_distance}
 
 
-def _arc_scatter(points: Sightings) -> TableRow:
+def _arc_scatter_columns(points: Sightings) -> TableRow:
     """Return RMSD_m and SD_m about the days' smooth arcs (Eq. 20), over all days."""
     days: defaultdict[object, list[int]] = defaultdict(list)
     for row, time in enumerate(points.unix_s):
@@ -130,7 +130,7 @@ def _arc_scatter(points: Sightings) -> TableRow:
     return {"rmsd_m_px": rmsd, "sd_m_px": float(np.sqrt(rmsd**2 - np.average(mean, weights=count) ** 2))}
 
 
-def _parameters(camera: Camera) -> TableRow:
+def _parameter_columns(camera: Camera) -> TableRow:
     pose = pose_angles(camera.rotation_cam_enu)
     return _make_row(camera.focal_length_px, camera.skew_px, camera.principal_point_px, pose)
 
@@ -175,15 +175,15 @@ def cloud_noise(rng: np.random.Generator, n: int, *, inlier_px: float, share: fl
     shock = rng.standard_t(_HEAVY_TAIL, (n, 2)) * math.sqrt(1.0 - _CORRELATION**2)
     episode = np.array(list(accumulate(shock, lambda before, step: _CORRELATION * before + step)))
 
-    def drawn(size: float) -> FloatArray:
+    def draw_errors(size: float) -> FloatArray:
         return np.where(covered[:, None], np.clip(size * episode, -_LONGEST_PX, _LONGEST_PX), inlier)
 
-    def too_wide(size: float) -> float:
-        return float(np.std(np.linalg.norm(drawn(size), axis=-1))) - sd_px
+    def excess_deviation(size: float) -> float:
+        return float(np.std(np.linalg.norm(draw_errors(size), axis=-1))) - sd_px
 
     from scipy.optimize import brentq  # noqa: PLC0415 - the service starts sooner without it
 
-    return drawn(float(brentq(too_wide, 1e-3, 1e3)))
+    return draw_errors(float(brentq(excess_deviation, 1e-3, 1e3)))
 
 
 def episodes(rng: np.random.Generator, n: int, share: float) -> BoolArray:

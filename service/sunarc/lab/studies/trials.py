@@ -113,23 +113,23 @@ class Batch:
         if self.options.method == "paper":
             found = fit_as_paper(observed, [self.camera], options=self.options, quickly=True).cameras[0]
         else:
-            found = self._robust(observed, self._problem(circle))
+            found = self._fit_robust(observed, self._make_problem(circle))
         return tidied(found, self.options)
 
-    def _problem(self, circle: ImageCircle) -> FitProblem:
+    def _make_problem(self, circle: ImageCircle) -> FitProblem:
         size, prior = (self.camera.width, self.camera.height), self.problem.prior
         first, mean = level_camera(circle, image_size=size, options=self.options), prior.mean.copy()
         mean[: Whitened.RADIAL] = *first.focal_length_px, 0.0, *first.principal_point_px
         return replace(self.problem, prior=replace(prior, mean=mean))
 
-    def _robust(self, observed: Sightings, problem: FitProblem) -> Camera:
-        plain = self._without_field(observed, problem)
+    def _fit_robust(self, observed: Sightings, problem: FitProblem) -> Camera:
+        plain = self._fit_without_field(observed, problem)
         problem, observed = add_effects(problem, plain, observed, outwards_px=self.options.outwards_px)
         found = robust_rounds(problem, observed, plain, groups=self.groups, grid=self.grid)
         camera, mean = found.camera(), found.field_mean
         return camera if mean is None else replace(camera, displacement=found.grid.basis.displacement(mean))
 
-    def _without_field(self, observed: Sightings, problem: FitProblem) -> FloatArray:
+    def _fit_without_field(self, observed: Sightings, problem: FitProblem) -> FloatArray:
         """Return the unknowns of the robust fit from the known camera: the weights by turns with the bins' solution."""
         tolerances, bins = self.options.tolerances, self.groups.bins
         precision = prior_precision(problem.size, tolerances.radial_px, tolerances.decentering_px)

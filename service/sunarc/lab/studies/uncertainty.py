@@ -149,20 +149,20 @@ def cramer_rao_bound(camera: Camera, directions: FloatArray, *, method: Method, 
     if sigma_px <= 0.0:
         return np.zeros(len(QUANTITIES))
     basis, precision = make_prior(camera, method=method)
-    on_arc = _rows(camera, directions) @ basis
-    root = _covariance_root(np.concatenate([on_arc / sigma_px, np.diag(np.sqrt(precision))]))
+    on_arc = _compute_derivatives(camera, directions) @ basis
+    root = _compute_covariance_root(np.concatenate([on_arc / sigma_px, np.diag(np.sqrt(precision))]))
     spread = np.linalg.norm(basis @ root, axis=-1)
     parameters = [spread[PARAMETER_NAMES.index(name)] for name in QUANTITIES[2:]]
-    on_sky = _rows(camera, hemisphere()) @ basis
-    return np.array([_rms(on_arc @ root), _rms(on_sky @ root), *parameters])
+    on_sky = _compute_derivatives(camera, hemisphere()) @ basis
+    return np.array([_rms_distance(on_arc @ root), _rms_distance(on_sky @ root), *parameters])
 
 
 def make_prior(camera: Camera, *, method: Method) -> tuple[FloatArray, FloatArray]:
     """Return B (23, m) and the diagonal of Λ (m,)."""
-    return _constraints(camera) if method == "paper" else _priors(camera)
+    return _make_constraints(camera) if method == "paper" else _make_priors(camera)
 
 
-def _constraints(camera: Camera) -> tuple[FloatArray, FloatArray]:
+def _make_constraints(camera: Camera) -> tuple[FloatArray, FloatArray]:
     """Return the directions in which c1 and c2 (skew 0, one focal length) let the parameters move, and no priors."""
     theta = np.linspace(0.0, _RIGHT_ANGLE, 181)
     powers = (theta / _RIGHT_ANGLE)[:, None] ** np.array(RADIAL_ORDERS)
@@ -175,7 +175,7 @@ def _constraints(camera: Camera) -> tuple[FloatArray, FloatArray]:
     return basis, np.zeros(basis.shape[1])
 
 
-def _priors(camera: Camera) -> tuple[FloatArray, FloatArray]:
+def _make_priors(camera: Camera) -> tuple[FloatArray, FloatArray]:
     """Return the lens's whitened coordinates and the rotation, with the priors that the service starts from."""
     x, y = camera.principal_point_px
     circle = ImageCircle(x=x, y=y, radius=camera.focal_length_px[0] * math.sqrt(2.0))
@@ -186,19 +186,19 @@ def _priors(camera: Camera) -> tuple[FloatArray, FloatArray]:
     return basis, np.concatenate([precisions(usual.radial_px, usual.decentering_px), np.zeros(3)])
 
 
-def _rows(camera: Camera, directions: FloatArray) -> FloatArray:
+def _compute_derivatives(camera: Camera, directions: FloatArray) -> FloatArray:
     """Return (2 n, 23): the derivatives of x and y by the parameters."""
     _, by_parameters, _ = project_with_jacobian(camera, directions)
     return by_parameters.reshape(-1, len(PARAMETER_NAMES))
 
 
-def _covariance_root(rows: FloatArray) -> FloatArray:
+def _compute_covariance_root(rows: FloatArray) -> FloatArray:
     """Return R⁻¹ with R⁻¹ R⁻ᵀ = (A'A)⁻¹, by QR of A with its columns brought to one size."""
     size = np.linalg.norm(rows, axis=0)
     triangle = np.linalg.qr(rows / size, mode="r")
     return np.asarray(solve_triangular(triangle, np.eye(size.size)) / size[:, None])
 
 
-def _rms(rows: FloatArray) -> float:
+def _rms_distance(rows: FloatArray) -> float:
     """Return the root mean square 2-D distance of unit-variance combinations of rows (2 n, m)."""
     return float(np.sqrt(2.0 * np.mean(np.sum(rows**2, axis=-1))))

@@ -54,7 +54,7 @@ def read_token(path: Path | None, *, setting: str) -> bytes | None:
         raise ConfigurationError(f"{setting} {path}: {error.strerror}") from error
     if len(token) < _SHORTEST_TOKEN:
         raise ConfigurationError(f"{setting} {path}: a token has at least {_SHORTEST_TOKEN} characters")
-    return _digest(token)
+    return _digest_token(token)
 
 
 def require_write_token(token: bytes | None) -> Callable[..., Awaitable[None]]:
@@ -66,7 +66,7 @@ def require_write_token(token: bytes | None) -> Callable[..., Awaitable[None]]:
                 field="authorization", problem="no change is allowed: no token is set", remedy="set api.token_file"
             )
             raise RefusedError(HTTPStatus.FORBIDDEN, fault)
-        if given is None or not _same(given.credentials, token):
+        if given is None or not _is_same_token(given.credentials, token):
             raise RefusedError(HTTPStatus.UNAUTHORIZED, _NO_TOKEN, headers=_CHALLENGE)
 
     return check_token
@@ -109,19 +109,19 @@ def _bearer_token(scope: Scope) -> str | None:
 
 def _matches_any(given: str, tokens: tuple[bytes, ...]) -> bool:
     """Compare with every token, so that the time does not reveal which one is meant."""
-    return sum(_same(given, token) for token in tokens) > 0
+    return sum(_is_same_token(given, token) for token in tokens) > 0
 
 
 def _is_open(path: str) -> bool:
     return path in _OPEN_PATHS or path.startswith(_OPEN_FOLDER) or FEED_PATH.fullmatch(path) is not None
 
 
-def _same(given: str, token: bytes) -> bool:
+def _is_same_token(given: str, token: bytes) -> bool:
     """Compare a token with a digest, in a time that reveals nothing of either."""
-    return hmac.compare_digest(_digest(given.encode("utf-8", "replace")), token)
+    return hmac.compare_digest(_digest_token(given.encode("utf-8", "replace")), token)
 
 
-def _digest(token: bytes) -> bytes:
+def _digest_token(token: bytes) -> bytes:
     return hashlib.sha256(token).digest()
 
 
@@ -209,11 +209,11 @@ class RateLimit(HttpMiddleware):
         if wait_s > 0.0:
             await too_many("too many requests from this address", scope, wait_s=wait_s)(scope, receive, send)
         else:
-            priced = send if price == 1.0 else self._refunding(self._allowances, client, price - 1.0, send)
+            priced = send if price == 1.0 else self._refund_price(self._allowances, client, price - 1.0, send)
             await self.app(scope, receive, priced)
 
     @staticmethod
-    def _refunding(allowances: TokenBuckets, client: str, price: float, send: Send) -> Send:
+    def _refund_price(allowances: TokenBuckets, client: str, price: float, send: Send) -> Send:
         """Give the price back where the token was not needed: a proxy's own, or a page's where reading is open."""
 
         async def sending(message: Message) -> None:
@@ -276,7 +276,7 @@ class AllowedHosts(HttpMiddleware):
         if scope["type"] == "http" and not is_always_answered(scope):
             host = Headers(scope=scope).get("host", "")
             if host and not self._is_allowed(host):
-                await _refusal(scope["path"], host)(scope, receive, send)
+                await _make_refusal(scope["path"], host)(scope, receive, send)
                 return
         await self.app(scope, receive, send)
 
@@ -299,7 +299,7 @@ def _is_address(name: str) -> bool:
     return True
 
 
-def _refusal(path: str, host: str) -> ASGIApp:
+def _make_refusal(path: str, host: str) -> ASGIApp:
     fault = Fault(
         field="host",
         problem=f"{host[:64]!r} is not a name of this service",

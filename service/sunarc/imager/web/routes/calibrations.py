@@ -50,7 +50,7 @@ def calibration_routes(context: ApiContext) -> APIRouter:
     routes = APIRouter(tags=["calibrations"])
 
     made = {name: SingleFlightCache(partial(_make_export, name), key=document_tag) for name in SERVED}
-    written = {"whole": _Written(_text), "camera": _Written(_camera_text)}
+    written = {"whole": _LastDocument(_text), "camera": _LastDocument(_camera_text)}
 
     @routes.get("/calibration", dependencies=BY_CALIBRATION, responses=_EXPORTED | answers(404, 422))
     def calibration(
@@ -66,7 +66,7 @@ def calibration_routes(context: ApiContext) -> APIRouter:
             return written[detail].answer(record, if_none_match)
         if detail != "whole":
             raise InputError(field="detail", problem=f"is not given of {format_}", remedy="leave out format, or detail")
-        return _export(context.of(request), record, made[format_], format_, if_none_match)
+        return _answer_export(context.of(request), record, made[format_], format_, if_none_match)
 
     @routes.get("/calibrations", responses=answers(422))
     def calibrations(
@@ -113,7 +113,7 @@ def document_tag(record: CalibrationRecord) -> str:
     return hashlib.sha256(_text(record)).hexdigest()[:32]
 
 
-class _Written:
+class _LastDocument:
     """The document that was sent last, as text: every client asks for the same one.
 
     Parameters
@@ -160,14 +160,14 @@ def _tagged_response(content: bytes, tag: str, if_none_match: str | None) -> Res
 
 
 def _text(record: CalibrationRecord) -> bytes:
-    return _json(record.document)
+    return _encode_json(record.document)
 
 
 def _camera_text(record: CalibrationRecord) -> bytes:
-    return _json(camera_document(record.document))
+    return _encode_json(camera_document(record.document))
 
 
-def _json(document: Mapping[str, Any]) -> bytes:
+def _encode_json(document: Mapping[str, Any]) -> bytes:
     return json.dumps(document, allow_nan=False, separators=(",", ":")).encode()
 
 
@@ -175,7 +175,7 @@ def _make_export(format_: ServedFormat, record: CalibrationRecord) -> Exported:
     return export(record.document, format_)
 
 
-def _export(
+def _answer_export(
     context: ApiContext,
     record: CalibrationRecord,
     made: SingleFlightCache[CalibrationRecord, Exported],

@@ -89,9 +89,9 @@ def image_routes(context: ApiContext) -> APIRouter:
     ) -> Images:
         """Return the images of the source with since <= time < until, the newest first."""
         selected, page = context.of(request), page_at(cursor, limit)
-        found = _between(selected, since, page.until(until), page.rows)
+        found = _list_images(selected, since, page.until(until), page.rows)
         rows, next_ = page.cut(found, request, time=lambda row: row[0])
-        return Images(images=[_composite(selected, *row) for row in rows], next=next_)
+        return Images(images=[_make_entry(selected, *row) for row in rows], next=next_)
 
     @routes.get("/images/{time}", response_class=Response, responses=_IMAGE | answers(404, 406, 416, 422))
     def image(
@@ -105,12 +105,12 @@ def image_routes(context: ApiContext) -> APIRouter:
         if_none_match: IfNoneMatch = None,
     ) -> Response:
         """Return an image: whole, or the range that is asked for."""
-        kinds = (format_,) if format_ else ("jpeg",) if width else _accepted(request.headers.get("accept"))
+        kinds = (format_,) if format_ else ("jpeg",) if width else _parse_accepted_kinds(request.headers.get("accept"))
         selected = context.of(request)
         path = image_file(selected, time, kinds if width is None else ("jpeg", "png"))
         kind = kinds[0] if width else _path_kind(path)
         tag = make_etag(f"{path}-{kind}-{width or 0}".encode(errors="surrogateescape"))
-        headers = _headers(selected, time, path) | {"etag": tag, "cache-control": _IMMUTABLE}
+        headers = _make_headers(selected, time, path) | {"etag": tag, "cache-control": _IMMUTABLE}
         if matches(if_none_match, tag):
             return Response(status_code=HTTPStatus.NOT_MODIFIED, headers=headers)
         if width is None and not _is_ours(selected, path):
@@ -124,7 +124,7 @@ def image_routes(context: ApiContext) -> APIRouter:
     return routes
 
 
-def _between(
+def _list_images(
     context: ApiContext, since: datetime | None, until: datetime | None, limit: int
 ) -> list[tuple[datetime, Path]]:
     """Return times and files of the images with since <= time < until, the newest first; of a composite its PNG."""
@@ -139,7 +139,7 @@ def _path_kind(path: Path) -> Kind:
     return "png" if path.suffix.lower() == ".png" else "jpeg"
 
 
-def _composite(context: ApiContext, time: datetime, path: Path) -> Composite:
+def _make_entry(context: ApiContext, time: datetime, path: Path) -> Composite:
     answering = context.record_or_none(time)
     try:
         size = path.stat().st_size
@@ -149,7 +149,7 @@ def _composite(context: ApiContext, time: datetime, path: Path) -> Composite:
     return Composite(time=time, calibration=calibration, format=_path_kind(path), bytes=size)
 
 
-def _accepted(accept: str | None) -> tuple[Kind, ...]:
+def _parse_accepted_kinds(accept: str | None) -> tuple[Kind, ...]:
     """Return the kinds that a client accepts, PNG first."""
     accepted = [part.partition(";")[0].strip().lower() for part in (accept or "*/*").split(",")]
     kinds = get_args(Kind)
@@ -191,7 +191,7 @@ def decoded_preview(path: Path) -> NDArray[np.uint8]:
     return np.asarray(image, dtype=np.uint8)
 
 
-def _headers(context: ApiContext, time: datetime, path: Path) -> dict[str, str]:
+def _make_headers(context: ApiContext, time: datetime, path: Path) -> dict[str, str]:
     answering = context.record_or_none(time)
     headers = {"sunarc-time": rfc3339(time)}
     if answering is not None:

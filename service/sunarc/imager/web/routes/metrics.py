@@ -68,24 +68,30 @@ class StatusCollector(Collector):
         """Read the board and the archive once."""
         snapshot = self._context.status()
         yield from service_metrics(snapshot)
-        yield from _workers(snapshot)
-        yield from _facts(snapshot, self._stored_step_at)
-        yield from _counts(snapshot.capture)
-        yield from self._calibration()
+        yield from _worker_metrics(snapshot)
+        yield from _status_metrics(snapshot, self._stored_step_at)
+        yield from _capture_metrics(snapshot.capture)
+        yield from self._calibration_metrics()
         yield from push_metrics(self._context.archive)
         now = self._context.frame_clock()
         yield from record_metrics(self._context.archive, self._context.camera, now=now)
 
-    def _calibration(self) -> Iterator[Metric]:
+    def _calibration_metrics(self) -> Iterator[Metric]:
         record = self._context.archive.calibrations.current(self._context.camera)
         summary_now = None if record is None else summary(record)
-        yield _single("sunarc_calibration_present", "1 when a calibration is current.", float(summary_now is not None))
+        yield _single_gauge(
+            "sunarc_calibration_present", "1 when a calibration is current.", float(summary_now is not None)
+        )
         if summary_now is not None:
-            yield _single("sunarc_calibration_rmse_px", "Of the sightings used, in distance.", summary_now.rmse_px)
-            yield _single(
+            yield _single_gauge(
+                "sunarc_calibration_rmse_px", "Of the sightings used, in distance.", summary_now.rmse_px
+            )
+            yield _single_gauge(
                 "sunarc_calibration_sky_rms_degrees", "1-sigma per axis over the sky.", summary_now.sky_rms_deg
             )
-            yield _single("sunarc_calibration_valid_from_seconds", "Unix time.", _unix_s(summary_now.valid_from))
+            yield _single_gauge(
+                "sunarc_calibration_valid_from_seconds", "Unix time.", _unix_s_or_none(summary_now.valid_from)
+            )
 
 
 def service_metrics(snapshot: StatusSnapshot) -> Iterator[Metric]:
@@ -103,7 +109,9 @@ def service_metrics(snapshot: StatusSnapshot) -> Iterator[Metric]:
         ("code", "severity"),
         {(reason.code, reason.severity): 1.0 for reason in snapshot.reasons},
     )
-    yield _single("sunarc_started_seconds", "Unix time at which the service started.", _unix_s(snapshot.started_at))
+    yield _single_gauge(
+        "sunarc_started_seconds", "Unix time at which the service started.", _unix_s_or_none(snapshot.started_at)
+    )
 
 
 def push_metrics(archive: Archive) -> Iterator[Metric]:
@@ -117,7 +125,7 @@ def push_metrics(archive: Archive) -> Iterator[Metric]:
     yield refused
 
 
-def _workers(snapshot: StatusSnapshot) -> Iterator[Metric]:
+def _worker_metrics(snapshot: StatusSnapshot) -> Iterator[Metric]:
     workers = snapshot.workers
     yield labelled(
         "sunarc_worker_state",
@@ -145,19 +153,27 @@ def _stored_step_at(context: ApiContext) -> datetime | None:
     return next((event.time for event in events if event.kind == "clock_step"), None)
 
 
-def _facts(snapshot: StatusSnapshot, stored_step_at: datetime | None) -> Iterator[Metric]:
+def _status_metrics(snapshot: StatusSnapshot, stored_step_at: datetime | None) -> Iterator[Metric]:
     for name, part, field in _GAUGES:
         value = getattr(getattr(snapshot, _PARTS[part]), field, None)
-        yield _single(name, descriptions(part)[field], _unix_s(value) if isinstance(value, datetime) else value)
+        yield _single_gauge(
+            name, descriptions(part)[field], _unix_s_or_none(value) if isinstance(value, datetime) else value
+        )
     connected = float(snapshot.camera is not None and snapshot.camera.connected)  # 0 from the start: alerts read it
-    yield _single("sunarc_camera_connected", "1 while the camera answers.", connected)
-    stepped_at = _unix_s((snapshot.clock and snapshot.clock.last_step_at) or stored_step_at)
-    yield _single("sunarc_clock_last_step_seconds", "Unix time at which the frames' clock was last set.", stepped_at)
-    yield _single("sunarc_last_frame_seconds", "Unix time of the last frame.", _unix_s(snapshot.last_frame_at))
-    yield _single("sunarc_last_sighting_seconds", "Unix time of the last sighting.", _unix_s(snapshot.last_sighting_at))
+    yield _single_gauge("sunarc_camera_connected", "1 while the camera answers.", connected)
+    stepped_at = _unix_s_or_none((snapshot.clock and snapshot.clock.last_step_at) or stored_step_at)
+    yield _single_gauge(
+        "sunarc_clock_last_step_seconds", "Unix time at which the frames' clock was last set.", stepped_at
+    )
+    yield _single_gauge(
+        "sunarc_last_frame_seconds", "Unix time of the last frame.", _unix_s_or_none(snapshot.last_frame_at)
+    )
+    yield _single_gauge(
+        "sunarc_last_sighting_seconds", "Unix time of the last sighting.", _unix_s_or_none(snapshot.last_sighting_at)
+    )
 
 
-def _counts(capture: CaptureStatus | None) -> Iterator[Metric]:
+def _capture_metrics(capture: CaptureStatus | None) -> Iterator[Metric]:
     texts = descriptions(CaptureStatus)
     for name in _COUNTS:
         family = CounterMetricFamily(f"sunarc_capture_{name}", texts[name])
@@ -165,11 +181,11 @@ def _counts(capture: CaptureStatus | None) -> Iterator[Metric]:
         yield family
 
 
-def _unix_s(time: datetime | None) -> float | None:
+def _unix_s_or_none(time: datetime | None) -> float | None:
     return None if time is None else time.timestamp()
 
 
-def _single(name: str, text: str, value: float | None) -> Metric:
+def _single_gauge(name: str, text: str, value: float | None) -> Metric:
     return labelled(name, text, (), {} if value is None else {(): value})
 
 
@@ -217,7 +233,7 @@ def record_metrics(archive: Archive, camera: str, *, now: datetime) -> Iterator[
         counter.add_metric((), sum(n for kind, n in alarms.items() if CAMERA_CHANGES.get(kind) == condition))
         yield counter
     waiting = archive.events.find(camera, to_acknowledge=True)
-    yield _single("sunarc_events_to_acknowledge", "Events that wait for an operator.", float(len(waiting)))
+    yield _single_gauge("sunarc_events_to_acknowledge", "Events that wait for an operator.", float(len(waiting)))
     yield from _day_metrics(next(iter(archive.days.find(camera, limit=1)), None))
     yield from _night_metrics(next(iter(archive.nights.find(camera, limit=1)), None))
 
@@ -238,7 +254,7 @@ def _day_metrics(day: Day | None) -> Iterator[Metric]:
         ),
     }
     for name, (text, value) in values.items():
-        yield _single(f"sunarc_last_day_{name}", text, value)
+        yield _single_gauge(f"sunarc_last_day_{name}", text, value)
 
 
 _OF_NIGHT = {
@@ -263,9 +279,13 @@ _OF_NIGHT = {
 def _night_metrics(night: Night | None) -> Iterator[Metric]:
     """Yield the known numbers of the last night that was judged; nothing without one."""
     evening = None if night is None else datetime.combine(night.date, time(), UTC).timestamp()
-    yield _single("sunarc_night_seconds", "Date of the last night that was judged (its evening) as Unix time.", evening)
+    yield _single_gauge(
+        "sunarc_night_seconds", "Date of the last night that was judged (its evening) as Unix time.", evening
+    )
     for name, text in _OF_NIGHT.items():
-        yield _single(f"sunarc_night_{name}", f"Last night: {text}", None if night is None else getattr(night, name))
+        yield _single_gauge(
+            f"sunarc_night_{name}", f"Last night: {text}", None if night is None else getattr(night, name)
+        )
 
 
 _BOUNDS_S = (0.005, 0.02, 0.1, 0.5, 2.0, 10.0)

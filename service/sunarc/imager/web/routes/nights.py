@@ -111,12 +111,12 @@ def night_routes(context: ApiContext) -> APIRouter:
         found = selected.archive.nights.find(selected.camera, since=since, until=page.until(until), limit=page.rows)
         rows, next_ = page.cut(found, request, time=lambda night: night.decided_at)
         nights = [_describe_night(night, images=images, picture=_has_picture(selected, night)) for night in rows]
-        return Nights(nights=nights, pose=_pose(selected), next=next_)
+        return Nights(nights=nights, pose=_make_night_pose(selected), next=next_)
 
     @routes.get("/nights/{night}/image", response_class=Response, responses=_IMAGE | answers(404, 422))
     def night_image(request: Request, night: Evening, if_none_match: IfNoneMatch = None) -> Response:
         """Return the picture of a night: its image with the most stars, stretched to 8 bits."""
-        time, path = _newest(context.of(request), night, _PICTURE)
+        time, path = _require_newest_picture(context.of(request), night, _PICTURE)
         tag = f'"{path.stem}"'
         headers = {"etag": tag, "cache-control": _CACHED, "sunarc-time": rfc3339(time)}
         if matches(if_none_match, tag):
@@ -126,7 +126,7 @@ def night_routes(context: ApiContext) -> APIRouter:
     @routes.get("/nights/{night}/bodies", responses=answers(404, 422))
     def night_bodies(request: Request, night: Evening) -> NightBodies:
         """Return the bright stars, the planets and the moon in the picture of a night, and which were detected."""
-        _, path = _newest(context.of(request), night, _NAMES)
+        _, path = _require_newest_picture(context.of(request), night, _NAMES)
         try:
             return NightBodies.model_validate(json.loads(path.read_text("utf-8")))
         except (OSError, ValueError) as error:
@@ -135,7 +135,7 @@ def night_routes(context: ApiContext) -> APIRouter:
     return routes
 
 
-def _pose(context: ApiContext) -> NightPose | None:
+def _make_night_pose(context: ApiContext) -> NightPose | None:
     """Return how the camera stands at night against the day, as the calibration that is served has it."""
     record = context.record_or_none(None)
     night = None if record is None else record.document.get("night")
@@ -148,19 +148,19 @@ def _has_picture(context: ApiContext, night: Night) -> bool:
         return False
     if night.picture_time is not None:
         return context.images.path(night.picture_time, kind=_PICTURE).is_file()
-    return bool(_pictures(context, night.date, _PICTURE))
+    return bool(_list_pictures(context, night.date, _PICTURE))
 
 
-def _pictures(context: ApiContext, night: date, kind: str) -> list[tuple[datetime, Path]]:
+def _list_pictures(context: ApiContext, night: date, kind: str) -> list[tuple[datetime, Path]]:
     """Return the newest file of a kind that belongs to a night, with its time: from noon to noon, local mean time."""
     begin = day_bounds_unix_s(night, longitude=context.site.longitude)[0] + 0.5 * DAY_S
     since, until = utc_time(begin), utc_time(begin + DAY_S)
     return [] if context.images is None else context.images.between(kind=kind, since=since, until=until, limit=1)
 
 
-def _newest(context: ApiContext, night: date, kind: str) -> tuple[datetime, Path]:
+def _require_newest_picture(context: ApiContext, night: date, kind: str) -> tuple[datetime, Path]:
     """Return the time and the file of a kind that belongs to a night."""
-    found = _pictures(context, night, kind)
+    found = _list_pictures(context, night, kind)
     if not found:
         raise NotFoundError(field="night", problem=f"no picture of the night {night}", remedy="see /v1/nights")
     return found[0]

@@ -137,7 +137,7 @@ def record_routes(context: ApiContext) -> APIRouter:
     @routes.get("/image/latest", response_class=Response, responses=_IMAGE | answers(404))
     def latest_image(request: Request, width: ThumbnailWidth = None, if_none_match: IfNoneMatch = None) -> Response:
         """Return the newest composite's preview, or a thumbnail of it."""
-        return _image(context.of(request), if_none_match, width)
+        return _answer_newest_image(context.of(request), if_none_match, width)
 
     return routes
 
@@ -237,7 +237,7 @@ def days_out(context: ApiContext, days: Sequence[Day]) -> list[DayWithAir]:
     return [DayWithAir(**field_values(day), air=air.get(day.date)) for day in days]
 
 
-def _image(context: ApiContext, if_none_match: str | None, width: int | None) -> Response:
+def _answer_newest_image(context: ApiContext, if_none_match: str | None, width: int | None) -> Response:
     path = context.latest_image()
     if path is None:
         raise NotFoundError(field="image", problem="no image was kept yet", remedy="wait for the first cycle")
@@ -351,7 +351,7 @@ class Follower:
         self._context = context
         self._revision = context.archive.revision()
         self._status = context.status()
-        known = Position(context.archive.events.last_id(), self._calibration())
+        known = Position(context.archive.events.last_id(), self._get_calibration_id())
         self.position = position or known
         self._behind = position is not None
 
@@ -362,7 +362,7 @@ class Follower:
             "health": now.health,
             "state": now.state,
             "state_text": now.state_text,
-            "calibration": self._calibration() or None,
+            "calibration": self._get_calibration_id() or None,
             "conditions": list(now.conditions.values()),
         }
         return StreamMessage("state", data, self.position.text)
@@ -373,24 +373,24 @@ class Follower:
         stored = list(self._read_stored()) if revision != self._revision or self._behind else []
         self._revision, self._behind = revision, False
         before, self._status = self._status, self._context.status()
-        changed = _changes(before, self._status)
+        changed = _list_status_changes(before, self._status)
         news = [*stored, *(StreamMessage(kind, data, self.position.text) for kind, data in changed)]
         return news if self._status.notes == before.notes else [*news, self.state()]
 
     def _read_stored(self) -> Iterator[StreamMessage]:
         archive, known = self._context.archive, self.position
         events = archive.events.after(known.event, camera=self._context.camera, limit=_MOST_MISSED)
-        changes = stored_changes(events, self._calibration(), after_event=known.event, known=known.calibration)
+        changes = stored_changes(events, self._get_calibration_id(), after_event=known.event, known=known.calibration)
         for kind, data, event, calibration in changes:
             self.position = Position(event, calibration)
             yield StreamMessage(kind, data, self.position.text)
 
-    def _calibration(self) -> str:
+    def _get_calibration_id(self) -> str:
         record = self._context.record_or_none(None)
         return "" if record is None else record.id
 
 
-def _changes(before: StatusSnapshot, now: StatusSnapshot) -> Iterator[tuple[Kind, Mapping[str, Any]]]:
+def _list_status_changes(before: StatusSnapshot, now: StatusSnapshot) -> Iterator[tuple[Kind, Mapping[str, Any]]]:
     """Yield the differences of two snapshots of the status."""
     yield from condition_changes(before.conditions, now.conditions)
     states = {worker.name: worker.state for worker in before.workers}
@@ -418,13 +418,13 @@ def event_stream_routes(context: ApiContext) -> APIRouter:
         selected = await run_in_threadpool(context.of, request)
         position = Position.of(last_event_id) if last_event_id else None
         follower = await run_in_threadpool(Follower, selected, position)
-        content = _nothing() if asked_by_head(request.scope) else stream_messages(follower, context.stopping)
+        content = _yield_nothing() if asked_by_head(request.scope) else stream_messages(follower, context.stopping)
         return StreamingResponse(content, media_type=MEDIA_TYPE, headers=headers)
 
     return routes
 
 
-async def _nothing() -> AsyncIterator[str]:
+async def _yield_nothing() -> AsyncIterator[str]:
     return
     yield
 

@@ -97,7 +97,7 @@ class AnswerFiles:
             slots.require_room(client)
             async with slots.slot(client):
                 # another request may have made it while this one waited
-                file = self._find_kept(tag) or self._keep(tag, await run_in_threadpool(_stored, make))
+                file = self._find_kept(tag) or self._keep_file(tag, await run_in_threadpool(_write_to_file, make))
         part = _requested_part(asked.request, tag, len(file.bytes))
         counted = 1 if len(file.bytes) >= _LARGE_BYTES else 0
         headers = {**file.headers, **asked.headers}
@@ -108,7 +108,7 @@ class AnswerFiles:
             self._files.move_to_end(tag)
         return self._files.get(tag)
 
-    def _keep(self, tag: str, file: _File) -> _File:
+    def _keep_file(self, tag: str, file: _File) -> _File:
         self._files[tag] = file
         while len(self._files) > 1 and sum(len(one.bytes) for one in self._files.values()) > self._most_bytes:
             self._files.popitem(last=False)
@@ -122,7 +122,7 @@ class _File:
     headers: Mapping[str, str]
 
 
-def _stored(make: Callable[[], ResponseBody]) -> _File:
+def _write_to_file(make: Callable[[], ResponseBody]) -> _File:
     """Return the made content, in a file: where systemd says that caches are, else where temporary files are."""
     made = make()
     folder = os.environ.get("CACHE_DIRECTORY", "").partition(":")[0] or tempfile.gettempdir()
@@ -169,9 +169,9 @@ class FileAnswer(Response):
             self._use.grow(self._counted)
             async with asyncio.timeout(None) as until:
                 self._use.ends(until)
-                await self._send(send)
+                await self._send_pieces(send)
 
-    async def _send(self, send: Send) -> None:
+    async def _send_pieces(self, send: Send) -> None:
         await send({"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers})
         view = memoryview(self._file.bytes)[self._part.start : self._part.stop]
         for begin in range(0, len(view), _SENT_AT_ONCE):
