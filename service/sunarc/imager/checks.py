@@ -132,7 +132,7 @@ def check_exposures(camera: SkyCamera, requested_us: Sequence[float]) -> CheckRe
 
 
 def check_frames(camera: SkyCamera, exposures_us: Sequence[float]) -> CheckResult:
-    """Take some frames, and say how many were complete."""
+    """Take some frames, and report how many were complete."""
     lost, silent, refused, last = 0, 0, 0, ""
     for number in range(_TRIAL_FRAMES):
         try:
@@ -220,7 +220,7 @@ def init_option(result: CheckResult | TriedResult) -> str | None:
 
 
 def try_first(settings: Settings, *, addresses: Sequence[str], picture: Path) -> Iterator[TriedResult]:
-    """Try the parts that a new settings file names: cameras, pictures, site, clock and disk; nothing is searched for.
+    """Try the parts that a new settings file names: cameras, pictures, site, clock and disk.
 
     Parameters
     ----------
@@ -247,7 +247,7 @@ def try_first(settings: Settings, *, addresses: Sequence[str], picture: Path) ->
 
 
 def _check_camera_addresses(settings: Settings, addresses: Sequence[str], clock: Clock) -> Iterator[CheckResult]:
-    """Ask each address in turn; the settings' camera has to answer, of others it is said."""
+    """Connect to each address in turn; the settings' camera has to answer, for the others it is only reported."""
     options = settings.camera
     if options is None:
         return
@@ -264,7 +264,7 @@ def _identify_camera(options: AravisOptions, clock: Clock) -> tuple[Outcome, str
 
 
 def _try_pictures(options: FolderOptions, site: Site, picture: Path | None) -> Iterator[TriedResult]:
-    """Look at pictures of a folder: whether they can be read, when they were taken, where the sun is in them."""
+    """Read pictures of a folder: whether they can be read, when they were taken, where the sun is in them."""
     if options.path.exists() and not os.access(options.path, os.R_OK | os.X_OK, effective_ids=True):
         text = f"{options.path} is not for this user; let the service's user read it, with all that is in it"
         yield TriedResult("folder", "fail", text, ("folder_not_permitted",))

@@ -25,7 +25,7 @@ def push_workers(
     client: str,
     every_s: float,
 ) -> tuple[Supervised, ...]:
-    """Return the worker that writes notices and one for each receiver; without any receiver none.
+    """Return the worker that writes notices and one worker for each receiver; nothing where there is no receiver.
 
     Parameters
     ----------

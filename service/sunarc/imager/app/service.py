@@ -62,7 +62,7 @@ _WAITING_FRAMES = 4
 
 
 def night_capture(options: NightOptions, site_with_air_at: Callable[[datetime], Site]) -> NightCapture | None:
-    """Return the capture of the night joined to its worker; None where the night is not worked."""
+    """Return the capture of night images, whose frames go to the night worker; None where the night is switched off."""
     if not options.enabled:
         return None
     moon = MoonExposures(lambda time: moon_disc(time.timestamp(), site_with_air_at(time)))
@@ -74,7 +74,7 @@ def night_capture(options: NightOptions, site_with_air_at: Callable[[datetime], 
 
 
 def night_worker(service: Service, night: NightCapture) -> NightWorker:
-    """Return the worker of the stars."""
+    """Return the worker that finds and names stars."""
     return NightWorker(
         night,
         camera=service.camera,
@@ -233,7 +233,7 @@ class Service:
 
     @property
     def _in_real_time(self) -> bool:
-        """Return whether times of frames go on as the host's do; a replay's, a folder's and a simulation's jump."""
+        """Return whether the frames' time passes as the host's does; a replay's, folder's or simulation's jumps."""
         return self.settings.source not in {"replay", "folder"} and self.settings.capture.speed == 1.0
 
     def _new_learned_cadence(self) -> LearnedCadence:
@@ -384,7 +384,7 @@ class Service:
             self.overdue.check()
 
     def _clear_level_per_us(self) -> float:
-        """Return how bright the clear sun is; a database that cannot be read does not hold up an exposure."""
+        """Return the clear sun's level over full scale in 1 µs; 0 where the database cannot be read."""
         try:
             return self.predictor.clear_level_per_us(self.frame_time.now())
         except OutsideError:
@@ -517,7 +517,7 @@ class Service:
         )
 
     def detect_worker(self) -> DetectWorker:
-        """Return the worker that looks for the sun."""
+        """Return the worker that detects the sun in images."""
         return DetectWorker(
             self.sun_frames,
             keeper=self.keeper,
@@ -534,12 +534,12 @@ class Service:
         )
 
     def report(self, frame: Frame, detection: Detection) -> None:
-        """Pass the result of a sun exposure to the exposure control and to the change detection."""
+        """Pass the detection in a sun exposure to the exposure control and to the change detection."""
         self.exposures.report(frame, detection)
         self._notice_sun(frame.time, detection)
 
     def _notice_sun(self, time: datetime, detection: Detection) -> None:
-        """Pass a sun, accepted or elsewhere, to the change detection."""
+        """Pass a detected sun, accepted or seen elsewhere, to the change detection."""
         is_sun = detection.accepted or detection.verdict == ELSEWHERE
         if is_sun and detection.x_px is not None and detection.y_px is not None and self.clock_watch.trusted():
             self.watch.notice(
@@ -551,7 +551,7 @@ class Service:
             )
 
     def watch_worker(self) -> WatchWorker:
-        """Return the worker that holds sightings to the calibration."""
+        """Return the worker that compares sightings with the current calibration."""
         settings = self.settings
         return WatchWorker(
             camera=self.camera,

@@ -51,7 +51,7 @@ def supervised(
     watchdog: Watchdog,
     on_failed: Callable[[], None],
 ) -> Iterator[Supervisor]:
-    """Run workers, and stop them at the end; the parameters are those of `Supervisor`.
+    """Run workers under a supervisor while the context lasts; the parameters are those of `Supervisor`.
 
     The watchdog is fed thrice in the time that systemd grants, and at least every second.
     """
@@ -73,7 +73,7 @@ def supervised(
 
 @contextmanager
 def running(schedule: Schedule) -> Iterator[None]:
-    """Run a schedule, and end it."""
+    """Run a schedule while the context lasts, and stop it at its end."""
     schedule.start()
     try:
         yield
@@ -235,7 +235,7 @@ def load_credentials(options: ApiOptions) -> ApiOptions:
 
 
 class Server(uvicorn.Server):
-    """A web server that says when it listens, and whose event loop has a heartbeat.
+    """A web server that reports when it listens, and whose event loop has a heartbeat.
 
     Parameters
     ----------
@@ -250,12 +250,12 @@ class Server(uvicorn.Server):
         self._on_started = on_started
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Listen, and say so."""
+        """Listen on the sockets, and report that the server is ready."""
         await super().startup(sockets)
         self._on_started()
 
     async def on_tick(self, counter: int) -> bool:
-        """Beat, and return whether to end."""
+        """Record a heartbeat of the event loop, and return whether the server has to stop."""
         self.heartbeat.beat()
         return await super().on_tick(counter)
 

@@ -17,7 +17,7 @@ NO_FRAME_YET = "no_frame_yet"
 
 
 class FirstFrame:
-    """Shows `no_frame_yet` until a frame has come.
+    """Condition `no_frame_yet`, which holds until a frame has come.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ class FirstFrame:
         board.set_condition(NO_FRAME_YET, Reason.of(Finding(NO_FRAME_YET)), log=False)  # at every start
 
     def check(self) -> None:
-        """Clear it once the last frame is another one than that before the start."""
+        """Clear the condition once a frame has come since the start."""
         if self._board.snapshot().last_frame_at != self._before:
             self._board.set_condition(NO_FRAME_YET, None, log=False)
 

@@ -121,7 +121,7 @@ def apply_row_interval(record: CalibrationRecord) -> CalibrationRecord:
 
 
 def wrong_state(calibration_id: str, state: str, *, remedy: str) -> ConflictError:
-    """Return the refusal of a change that a calibration's state does not allow."""
+    """Return the error of a change that a calibration's state does not allow."""
     return ConflictError(field="id", problem=f"calibration {calibration_id} {state}", remedy=remedy)
 
 

@@ -259,7 +259,7 @@ class CalibrationStore(Part):
     def _stand_in_conditions(
         self, connection: Connection, camera: str, *, until: datetime
     ) -> list[ColumnElement[bool]]:
-        """Return the conditions of a calibration that answered until a time and may answer again.
+        """Return the SQL conditions of a calibration that answered until a time and may answer again.
 
         It is of the lens of that time, and of no pose epoch that was closed as wrong.
         """
@@ -436,7 +436,7 @@ class CalibrationStore(Part):
 
 
 def _make_record(document: Mapping[str, Any], parent: str | None) -> CalibrationRecord:
-    """Take the fields from the document, so that the two cannot differ."""
+    """Return the record of a calibration document, with its fields taken from the document."""
     try:
         verdict = document["verdict"]
         return CalibrationRecord(

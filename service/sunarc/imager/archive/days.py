@@ -123,7 +123,7 @@ def daily_air(connection: Connection, camera: str, unix_s: FloatArray) -> tuple[
 
 
 def within_or_nan(values: FloatArray, bounds: tuple[float, float]) -> FloatArray:
-    """Return values (n,), NaN for those out of bounds: a value written by hand must not stop a fit."""
+    """Return values (n,), with NaN for those out of bounds, so that a value written by hand does not stop a fit."""
     return np.where((values >= bounds[0]) & (values <= bounds[1]), values, np.nan)
 
 

@@ -41,13 +41,13 @@ class RefitStore(Part):
         return self._database.counts(select(refit.c.state, func.count()).where(refit.c.camera == camera), refit.c.state)
 
     def add(self, refit: Refit) -> Refit:
-        """Write down that a refit was asked for, or has begun."""
+        """Store a refit that was requested, or has begun."""
         with self._database.writing() as connection:
             connection.execute(insert(tables.refit).values(field_values(refit)))
         return refit
 
     def request(self, refit: Refit) -> Refit:
-        """Write down that a refit is asked for, or return the one of its camera that has been asked for already.
+        """Store a requested refit, or return the camera's earlier one that still waits.
 
         One that has not begun yet will see every sighting that this one would: there is never more than one of them,
         request while one runs.
@@ -63,7 +63,7 @@ class RefitStore(Part):
         return refit
 
     def start(self, refit_id: str, *, started_at: datetime) -> Refit:
-        """Write down that a refit has begun."""
+        """Store that a refit has begun."""
         return self._update_refit(refit_id, state="running", started_at=started_at)
 
     def finish(
@@ -76,7 +76,7 @@ class RefitStore(Part):
         message: str = "",
         findings: tuple[Finding, ...] = (),
     ) -> Refit:
-        """Write down how a refit ended, and the calibration it made (accepted or refused)."""
+        """Store how a refit ended, and the calibration it made (accepted or refused)."""
         return self._update_refit(
             refit_id,
             state=state,
@@ -114,7 +114,7 @@ class EventStore(Part):
     """The events."""
 
     def add(self, event: Event) -> Event:
-        """Write an event down, log it, and return it with its id."""
+        """Store an event, log it, and return it with its id."""
         with self._database.writing() as connection:
             stored = insert_event(connection, event)
         log_event(stored)
@@ -207,7 +207,7 @@ def _acknowledge(connection: Connection, event: Event, *, at: datetime, reason: 
 
 
 def acknowledge_at(connection: Connection, camera: str, time: datetime, *, at: datetime, reason: str) -> None:
-    """Acknowledge the events of a camera and a time that are to be, in a transaction."""
+    """Acknowledge, within a transaction, the open events of a camera and a time."""
     c = tables.event.c
     for event in read_values(connection, select(tables.event).where(c.camera == camera, c.time == time), Event):
         if event.to_acknowledge:

@@ -186,7 +186,7 @@ class FeedBatch:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Refusal:
-    """Why something was not taken."""
+    """Reason why the hub did not take a row or a batch."""
 
     reason: Reason
     text: str
@@ -194,7 +194,7 @@ class Refusal:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Quarantined(Returned):
-    """Something that an imager sent, and the hub refused or set apart."""
+    """Row or batch of an imager that the hub refused or set apart."""
 
     camera: Annotated[str, described("Name it was sent under.", "imager")]
     installation: Annotated[str, described("Id of the imager's database; empty where not known.", "5f1d")]

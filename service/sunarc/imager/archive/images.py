@@ -220,7 +220,7 @@ class ImageStore:
             )
 
     def clear_up(self) -> None:
-        """Remove the files of an interrupted write."""
+        """Remove the partial files of an interrupted write."""
         with self._require_readable():
             for part in self.folder.rglob("*.part"):
                 part.unlink(missing_ok=True)

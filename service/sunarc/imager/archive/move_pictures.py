@@ -31,7 +31,7 @@ _QUALITY = 85
 
 
 class MovePictures:
-    """Keeps small copies of the pictures of the last sightings, and of them those before and after a move.
+    """Store of small copies of the last sightings' pictures, from which those before and after a move are kept.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ class MovePictures:
             old.unlink(missing_ok=True)
 
     def keep(self, event: Event, newest: Path, *, sighted_at: datetime) -> None:
-        """Keep the missing ones of the pictures before and after a move.
+        """Keep the pictures before and after a move that are not kept yet.
 
         Parameters
         ----------

@@ -109,7 +109,7 @@ class NoticeStore(Part):
     """Store of the messages for receivers."""
 
     def name_sinks(self, names: Collection[str]) -> None:
-        """Serve these receivers and no others: a new one gets the events from now on; without any all are removed.
+        """Serve these receivers and no others: a new one gets the events from now on; former ones are removed.
 
         Parameters
         ----------
@@ -176,7 +176,7 @@ class NoticeStore(Part):
         )
 
     def done(self, sink: str, seq: int, *, refused: bool = False) -> None:
-        """Remember that a receiver has the notices up to a number, or has refused the last of them for good."""
+        """Store that a receiver has the notices up to a number, or has refused the last of them for good."""
         c = notice_sink.c
         with self._database.writing() as connection:
             values = {"seq": seq, "refused": c.refused + int(refused)}

@@ -42,7 +42,7 @@ class Outbox(Part):
     """Rows that an imager sends to a hub."""
 
     def enable(self) -> bool:
-        """Begin to write changes to the outbox; with all rows that there are, unless it went on without a break.
+        """Begin to write changes to the outbox; all present rows are queued first unless there was no break.
 
         A migration that makes a table anew takes its triggers away: they are compared with what they should be, and
         where one differs all rows are queued again. Sent twice, a row is stored once. Of a kind that a former version
@@ -94,7 +94,7 @@ class Outbox(Part):
             return _is_begun(connection)
 
     def position(self) -> OutboxPosition:
-        """Return how far the outbox came; it has to be enabled."""
+        """Return the number up to which rows were sent and confirmed; the outbox has to be enabled."""
         with self._database.reading() as connection:
             return _read_position(connection)
 
@@ -138,7 +138,7 @@ class Outbox(Part):
             connection.execute(sa.insert(outbox).values(kind=STATUS, data=json_text(status)))
 
     def acknowledge(self, seq: int) -> bool:
-        """Forget the rows up to a number, which the hub has; nothing where the hub lacks some before it.
+        """Remove the rows up to a number, which the hub has stored; none where the hub lacks an earlier row.
 
         Returns
         -------

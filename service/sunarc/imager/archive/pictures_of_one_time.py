@@ -37,7 +37,7 @@ class _Sun(NamedTuple):
 
 
 def judge_pictures(connection: Connection, camera: str, times: Collection[datetime]) -> dict[str, Finding]:
-    """Set aside the sightings of one time in several folders that do not count.
+    """Reject the sightings of images of one time in several folders that must not count twice.
 
     Where each picture shows the sun, and at the same pixel, the first one's sighting counts, else that of none.
 

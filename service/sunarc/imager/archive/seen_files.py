@@ -83,7 +83,7 @@ class SeenFileStore(Part):
             return {row.file: row.code for row in rows}
 
     def add(self, files: Iterable[SeenFile]) -> None:
-        """Write files down, each in place of its former record."""
+        """Store files as seen, each in place of its former record."""
         with self._database.writing() as connection:
             for one in files:
                 upsert(connection, seen_file, field_values(one), key=["camera", "file"])

@@ -98,7 +98,7 @@ def _reject_other_methods(connection: Connection, point: SunPoint) -> None:
 
 
 def _set_missing_folder(connection: Connection, point: SunPoint) -> None:
-    """Give former sightings of an image whose folder is not known (revision 0019) that of a new one."""
+    """Set the folder of former sightings of an image (revision 0019 and before) to that of a new sighting."""
     here = select(sun_point.c.id).where(*_same_image_conditions(point), sun_point.c.folder == point.folder)
     unknown = (*_same_image_conditions(point), sun_point.c.folder == "", sun_point.c.method == point.method)
     connection.execute(update(sun_point).where(*unknown, ~here.exists()).values(folder=point.folder))
@@ -149,7 +149,7 @@ class CameraStore(Part):
         self._saved = {**self._saved, record.name: record}
 
     def saved(self) -> tuple[CameraRecord, ...]:
-        """Return the cameras that were written down by this object."""
+        """Return the cameras that this object has stored."""
         return tuple(self._saved.values())
 
     def all(self) -> tuple[CameraRecord, ...]:

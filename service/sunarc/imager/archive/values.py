@@ -43,7 +43,7 @@ class CameraRecord(Returned):
 
     @classmethod
     def at(cls, site: Site, **fields: Any) -> Self:  # noqa: ANN401 - of several types
-        """Return the record of a camera at a site; `fields` are all others."""
+        """Return the record of a camera at a site; `fields` are all other fields."""
         return cls(latitude=site.latitude, longitude=site.longitude, altitude=site.altitude, **fields)
 
     @property
@@ -334,7 +334,7 @@ def unusable_night(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SightingCounts(Returned):
-    """Looks at the sun on one solar day, accepted or not, and how well the clock was known."""
+    """Counts of the images of one solar day in which the sun was sought, by verdict, and the largest clock error."""
 
     date: SolarDate
     verdicts: Annotated[
@@ -410,13 +410,13 @@ class Refit(Returned):
 
     @staticmethod
     def asked(camera: str, reason: str, *, at: datetime) -> Refit:
-        """Return one that is asked for at a time, with an id of its own."""
+        """Return a refit that is requested at a time, with a new id."""
         return Refit(id=uuid.uuid4().hex, camera=camera, requested_at=at, reason=reason)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Event(Returned):
-    """An event."""
+    """Event in the record of a camera or of the service."""
 
     time: Time
     kind: Annotated[str, described("Stable name of the kind of event.", "bump")]
@@ -486,7 +486,7 @@ def event_code(kind: str, details: Mapping[str, Any]) -> str:
 
 
 def field_values(value: Any) -> dict[str, Any]:  # noqa: ANN401 - any dataclass
-    """Return the fields of a value by their names, those within it as they are (`asdict` takes them apart)."""
+    """Return the fields of a value by name, with nested values unchanged (`asdict` converts those too)."""
     return {one.name: getattr(value, one.name) for one in fields(value)}
 
 

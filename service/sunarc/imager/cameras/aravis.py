@@ -65,7 +65,7 @@ class ExposureControl:
 
 
 def require_taken(actual_us: float, asked_us: float, *, before_us: float) -> float:
-    """Return an exposure that was read back; CameraError where the camera kept the one before instead of another."""
+    """Return an exposure that was read back from the camera; CameraError where the camera kept the former one."""
     if actual_us == before_us and not 1.0 / _SAME <= actual_us / asked_us <= _SAME:
         raise errors.CameraError(f"the camera keeps an exposure of {actual_us:g} µs and does not take {asked_us:g} µs")
     return actual_us
@@ -111,7 +111,7 @@ _CHUNK = "ExposureTime"
 
 
 class NotedExposure:
-    """Reads a frame's exposure.
+    """Reader of the exposure that a frame states in its chunk data.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ class NotedExposure:
 
     @property
     def from_frame(self) -> bool:
-        """True where frames note their exposure themselves."""
+        """True where frames state their exposure themselves."""
         return self._parser is not None
 
     def of(self, buffer: Any) -> float:  # noqa: ANN401 - a GObject
@@ -297,11 +297,11 @@ class AravisCamera:
         self.raise_gain(0.0)
 
     def distrust(self) -> None:
-        """Begin the next exposure with a stopped and emptied camera."""
+        """Begin the next exposure with acquisition stopped and the stream emptied."""
         self._is_suspect = True
 
     def check(self) -> CameraCondition:
-        """Ask for every pinned setting (see `SkyCamera`)."""
+        """Read every pinned setting from the camera (see `SkyCamera`)."""
         self._require_control()
         with self._translate_errors("asking for the settings"):
             changed = list(features.changed_pins(self._camera, self._pins))
@@ -321,7 +321,7 @@ class AravisCamera:
             return tuple(list_abilities(self._camera, exposure=self._control, pins=self._pins, notes_exposures=noted))
 
     def close(self) -> None:
-        """Let go of the camera, so that it can be opened again; harmless when done twice."""
+        """Release the camera, so that it can be opened again; harmless when done twice."""
         if self._info is not None and not self._lost.is_set():  # else it was never started, or hears nothing
             try:
                 self._camera.stop_acquisition()
@@ -399,7 +399,7 @@ class AravisCamera:
             _log.warning("stream: %s", complaint)
 
     def _start_with_fitting_packets(self, exposure: ExposureControl) -> None:
-        """Start; where frames come and none is whole, with packets that every network passes, if that helps."""
+        """Start acquisition; where frames come incomplete, with smaller packets that pass every network."""
         if self._start_and_discard_frames(exposure) != "incomplete":
             return
         large = self.link.packet_bytes if self.link is not None else 0
@@ -572,7 +572,7 @@ _CHUNK_TOLERANCE = 0.01
 
 
 def follows(previous_id: int, frame_id: int) -> bool:
-    """Return whether a frame count is the next one; GigE Vision 1 counts 1 … 65535 and never says 0."""
+    """Return whether a frame count follows the previous one; GigE Vision 1 counts 1 … 65535 and leaves out 0."""
     return frame_id == previous_id + 1 or (previous_id == 65_535 and frame_id == 1)
 
 
@@ -603,7 +603,7 @@ def _make_read_only(image: Image) -> Image:
 
 
 def incomplete(status: str) -> errors.CameraError:
-    """Return the error that an unusable buffer's status stands for."""
+    """Return the error for the status of an unusable buffer."""
     if status in {"timeout", "missing-packets"}:
         return errors.CameraTimeoutError(
             f"packets of the frame were lost ({status}); see the network's buffer settings"

@@ -85,7 +85,7 @@ class CameraInfo:
         )
 
     def unreachable(self, exposures_us: Sequence[float]) -> str | None:
-        """Return which exposures the camera can not take, one sentence; None when it can take all."""
+        """Return the exposures that the camera cannot take, as one sentence; None where it can take all."""
         beyond = [e for e in exposures_us if not self.exposure_min_us <= e <= self.exposure_max_us]
         if not beyond:
             return None
@@ -128,10 +128,10 @@ class SkyCamera(Protocol):
         """
 
     def distrust(self) -> None:
-        """Take the last frames for wrong: the next exposure begins with a camera that was stopped and emptied."""
+        """Treat the last frames as wrong: the next exposure begins with acquisition stopped and the stream emptied."""
 
     def check(self) -> CameraCondition:
-        """Ask whether every pinned setting is as it was set, and how the camera is.
+        """Return whether every pinned setting is as it was set, and the camera's condition.
 
         Raises
         ------
@@ -141,7 +141,7 @@ class SkyCamera(Protocol):
         """
 
     def close(self) -> None:
-        """Let go of the camera; harmless when done twice."""
+        """Release the camera; harmless when done twice."""
 
 
 @runtime_checkable

@@ -72,7 +72,7 @@ class AravisOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReplayOptions:
-    """Which images are played again.
+    """Folder of images that is played again.
 
     Attributes
     ----------

@@ -72,7 +72,7 @@ class ReplayCamera:
         return frame
 
     def distrust(self) -> None:
-        """Change nothing: a file does not change."""
+        """Do nothing: a file does not change."""
 
     def check(self) -> CameraCondition:
         """Return nothing: a folder has no settings."""

@@ -111,7 +111,7 @@ def _new_refit_worker(archive: Archive, settings: Settings, clock: Clock) -> Ref
 
 
 def _carry_out_waiting(worker: RefitWorker) -> Refit:
-    """Return a refit that was requested and is finished; one that is interrupted has failed, and is not begun again."""
+    """Carry out the requested refit and return it; an interrupted one has failed, and is not begun again."""
     archive, clock = worker.camera.archive, worker.clock
     refit = Refit.asked(worker.camera.name, "sunarc calibrate", at=clock.now())
     archive.refits.add(refit)

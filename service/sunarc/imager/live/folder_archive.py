@@ -41,7 +41,7 @@ _IN_WORK, _FAILED = "archive_in_work", "archive_failed"
 
 
 class DaysUntil:
-    """All days until one, and other ones.
+    """Container of all days until one, and of some other days.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ class FolderArchiveWorker:
     look_back: Callable[[], None] = lambda: None
 
     def __post_init__(self) -> None:
-        """Begin without a reason."""
+        """Begin with nothing to analyse."""
         self._lock = threading.Lock()
         self._older: tuple[SourceFile, ...] = ()
         self._analysed: date | None = None
@@ -135,18 +135,18 @@ class FolderArchiveWorker:
 
     @property
     def _is_pausing(self) -> bool:
-        """Return whether an analysis failed a while ago: meanwhile days are judged by the stored sightings."""
+        """Return whether an analysis has failed lately: until the next one, days are judged by the stored sightings."""
         return self.clock.monotonic() < self._rests_until_s
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
-        """Analyse when there is a reason, until stopped."""
+        """Analyse the folder whenever an analysis is due, until stopped."""
         loop = Loop(self.clock, stop, heartbeat)
         for _ in loop.turns():
             self.step(stop, heartbeat)
             loop.wait(_LOOK_S)
 
     def step(self, stop: threading.Event, heartbeat: Callable[[], None]) -> bool:
-        """Analyse the folder if there is a reason to; return whether that was done."""
+        """Analyse the folder if an analysis is due; return whether one was made."""
         if self.analysis is None or self._is_pausing or not (self._older or self._is_due()):
             return False
         files = self._older[:_PORTION]
@@ -166,7 +166,7 @@ class FolderArchiveWorker:
         return True
 
     def _is_due(self) -> bool:
-        """Return whether a day has ended without a calibration, or the first one is there."""
+        """Return whether an analysis is due: a day ended without a calibration, or the first one was made."""
         self._note_day_and_calibration()
         today = self._current_solar_date()
         if self._calibrated and self._has_calibration():
@@ -216,7 +216,7 @@ class FolderArchiveWorker:
         return sum(self.camera.archive.sightings.count(self.camera.name, since=EPOCH, until=until).values())
 
     def _mark_seen(self, files: Sequence[SourceFile]) -> None:
-        """Write the files down as seen: a run that is broken off begins again with those that it had not stored."""
+        """Store the files as seen, after their sightings: an interrupted analysis begins again with the rest."""
         seen = (SeenFile(camera=self.camera.name, file=one.name, stamp=one.stamp) for one in files)
         self.camera.archive.seen_files.add(seen)
         with self._lock:

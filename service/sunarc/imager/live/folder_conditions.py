@@ -49,7 +49,7 @@ _RECENT, _LEAST, _SHARE = 12, 3, 0.25
 
 
 class LeftOut:
-    """Sets the condition of a folder most of whose last images are left out.
+    """Condition of a folder most of whose last images are left out.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ class LeftOut:
         self._last: dict[str, str | None] = {}
 
     def note(self, file: str, finding: Finding | None) -> None:
-        """Take note of an image that was used (None), or why it was not."""
+        """Count an image that was used (None), or one that was left out, with the finding."""
         if finding is not None and finding.code in _EXPECTED:
             return
         cause = None if finding is None else _LEFT_OUT_CODES.get(finding.code, "images_left_out")
@@ -92,7 +92,7 @@ _COMPARED = 8
 
 
 class ArrivalTimes:
-    """Compares the times that images state with when they come: a wrong zone is whole quarters of an hour.
+    """Comparison of images' stated times with their arrival: a wrong zone shifts by whole quarters of an hour.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ class ArrivalTimes:
         self._late_s: deque[float] = deque(maxlen=_COMPARED)
 
     def note(self, stated: datetime, came: datetime) -> None:
-        """Take note of an image that came while the service looked on."""
+        """Compare the time of an image with its arrival, where it arrived while the service ran."""
         self._late_s.append((came - stated).total_seconds())
         if len(self._late_s) < _COMPARED:
             return
@@ -122,7 +122,7 @@ class ArrivalTimes:
 
 
 class AheadOfClock:
-    """Images that stated a time ahead of the host's clock, until that is set forward by as much.
+    """Images whose stated time was ahead of the host's clock, kept until the clock is set forward by as much.
 
     To wait for such a time proves nothing: with a wrong zone it passes after an hour.
 
@@ -136,7 +136,7 @@ class AheadOfClock:
         self._due: dict[str, float] = {}
 
     def note(self, name: str, ahead_s: float) -> None:
-        """Take note of an image that is so far ahead, s."""
+        """Keep the name of an image that is so far ahead of the clock, s."""
         self._due[name] = self._clock_setting_s() + ahead_s
 
     def passed(self) -> list[str]:

@@ -54,7 +54,7 @@ class DeniedFolder(NamedTuple):
 
 
 class FolderListing:
-    """Lists a folder, and later only its changes: subfolders with other names in them, and the newest ones.
+    """Listing of a folder which, after the first time, reads only its changed and newest subfolders.
 
     `denied` is what the last listing could not read.
 
@@ -86,7 +86,7 @@ class FolderListing:
         yield from self._list_changed("", {"", *newest}, set(), now_ns)
 
     def forget(self) -> None:
-        """List all of it the next time."""
+        """Have the next listing read the whole folder."""
         self._known = {}
 
     def _list_changed(
@@ -161,7 +161,7 @@ _LATEST_CHANGE_S = 7.258e9
 
 
 class Settling:
-    """Files that came, until they have not changed for a while.
+    """Files that arrived, kept until they have not changed for a while.
 
     Parameters
     ----------
@@ -243,7 +243,7 @@ class FolderWatch:
         return self._poll_s if self._polling else _LIST_S
 
     def close(self) -> None:
-        """End the reports."""
+        """Stop the reports of changes."""
         self._stop.set()
         if self._events is not None:
             self._events.close()

@@ -29,7 +29,7 @@ _CLOCK_S = 1.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NightOutcome:
-    """Outcome of a night's images.
+    """Result of one night's images.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class NightOutcome:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FolderNights:
-    """The nights of a folder.
+    """Results of the nights of a folder.
 
     Attributes
     ----------

@@ -86,7 +86,7 @@ _SHOWN = frozenset({".jpg", ".jpeg", ".png"})
 
 @dataclass(eq=False)
 class FolderWorker:
-    """Follows a folder: each new image is read once, whatever happens meanwhile.
+    """Worker that follows a folder and reads each new image once.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ class FolderWorker:
     look_again: Callable[[], None] = lambda: None
 
     def __post_init__(self) -> None:
-        """Begin without a file."""
+        """Begin with no file listed."""
         self._rules = time_rules(self.options)
         self._root = self.options.path
         self._source = Folder(name_text(self._root))
@@ -205,7 +205,7 @@ class FolderWorker:
                 yield folder_files.source_file(name, (self._root / name_path(name)).stat())
 
     def work(self, heartbeat: Callable[[], None] = lambda: None) -> bool:
-        """Look at the images that are complete, live ones before late ones; return whether there may be more."""
+        """Process the images that are complete, live ones before late ones; return whether there may be more."""
         now_s = self.clock.monotonic()
         for file in self._settling.settled(now_s):
             self._ready[file.name] = (file, now_s)
@@ -238,7 +238,7 @@ class FolderWorker:
 
     @property
     def n_waiting(self) -> int:
-        """Return how many files came and are not stored: not complete, not read, in hand, or tried again."""
+        """Return how many files have arrived whose sightings are not stored yet."""
         return len(self._settling) + len(self._ready) + len(self._late) + self._n_in_hand + len(self._again)
 
     @property
@@ -290,7 +290,7 @@ class FolderWorker:
     def _divide_first_listing(
         self, listed: Sequence[source_files.SourceFile], new: Sequence[source_files.SourceFile]
     ) -> None:
-        """Divide the files at the start: the newest are live, few are late, many are an archive."""
+        """Divide the files at the start: the newest are live, a few are late, many are an archive."""
         now = self.clock.now().timestamp()
         recent = [file for file in new if now - folder_files.changed_s(file) < _LIVE.total_seconds()]
         for file in recent:
@@ -309,11 +309,11 @@ class FolderWorker:
         self._forget_missing({file.name for file in listed})
 
     def take_late(self, files: Iterable[source_files.SourceFile]) -> None:
-        """Look at files behind the live ones."""
+        """Process files after the live ones."""
         self._late.update((file.name, file) for file in files)
 
     def _forget_missing(self, present: set[str]) -> None:
-        """Forget the files that are gone from a folder that has files: the record would grow for ever."""
+        """Remove files that are gone from the folder from the record, which would grow for ever."""
         gone = [name for name in self._stamps if name not in present]
         if not present or not gone:
             return
@@ -373,7 +373,7 @@ class FolderWorker:
     def _wait_for_stack(
         self, members: Sequence[_DatedFile], since_s: dict[str, tuple[source_files.SourceFile, float]]
     ) -> bool:
-        """Put the exposures of an incomplete stack back, where stacks came before and the last one is not long ago."""
+        """Return whether more exposures of a stack are awaited; those present are then put back into the queue."""
         now_s = self.clock.monotonic()
         oldest_s = min(since_s[one.file.name][1] for one in members)
         if len(members) >= self._stack_size or now_s - oldest_s >= _STACK_S:
@@ -383,7 +383,7 @@ class FolderWorker:
         return True
 
     def _date_file(self, file: source_files.SourceFile) -> _DatedFile | None:
-        """Return a file with the time of its image; None where it is left out, which is written down."""
+        """Return a file with the time of its image; None, and the reason stored, where it is left out."""
         name = file.name
         try:
             frame = self._find_time(file)
@@ -419,13 +419,13 @@ class FolderWorker:
         return self._verdicts.pop(file.name, "") == FUTURE and behind_s < _YEARS_S
 
     def _explain_missing_time(self, name: str, finding: Finding) -> Finding:
-        """Return why a file without a time is left out: one that is written over again and again is a copy."""
+        """Return the finding of a file without a time; one that is often written over copies the newest image."""
         written_over = name in self._stamps
         others = self._newest is not None and self._newest[0] != name
         return Finding(_LATEST) if finding.code == "file_time_unknown" and written_over and others else finding
 
     def _take_images(self, time: datetime, new: list[_DatedFile], *, live: bool) -> None:
-        """Look at the images of one time, and write down that they were seen."""
+        """Process the images of one time, and store that they were seen."""
         zenith = self.apparent_zenith(time)
         new = self._select_by_prefix(new)
         if not new:
@@ -481,7 +481,7 @@ class FolderWorker:
                         yield dated
 
     def _take_night_image(self, time: datetime, new: Sequence[_DatedFile], zenith: float, *, live: bool) -> None:
-        """Hand an image of the night on; those that come after their night are left for `ingest`."""
+        """Pass a night image to the night worker; those that arrive after their night are left for `ingest`."""
         takes = self.night is not None and zenith >= DARK_ZENITH_DEG and live
         for one in new:
             later = self._last_night is None or time > self._last_night
@@ -499,7 +499,7 @@ class FolderWorker:
             self._mark_seen(one)
 
     def _select_by_prefix(self, new: Sequence[_DatedFile]) -> list[_DatedFile]:
-        """Return the images with the usual prefix of names; another prefix is taken once the usual one is gone."""
+        """Return the images with the usual prefix of names; another one becomes usual once the former is gone."""
         kept = []
         for one in new:
             self._note_prefix(one.frame.prefix)
@@ -520,7 +520,7 @@ class FolderWorker:
         return self.clock.now().timestamp() - folder_files.changed_s(file) < _HALF_WRITTEN_S
 
     def _note_newest_image(self, time: datetime, new: Sequence[_DatedFile], *, live: bool) -> None:
-        """Show the newest image, and take the time from it where images are the only clock."""
+        """Show the newest image, and set the frame time by it where images are the only clock."""
         self._n_frames += len(new)
         self.board.note(capture=CaptureStatus(frames=self._n_frames))
         if self._newest is None or time >= self._newest[1]:
@@ -530,7 +530,7 @@ class FolderWorker:
                 self.frame_time.note(time)
 
     def _try_later(self, members: Sequence[_DatedFile], error: OutsideError | InputError) -> None:
-        """Try images again that could not be stored."""
+        """Have images tried again whose sightings could not be stored."""
         _log.warning("%d images are looked at again later: %s", len(members), error)
         if isinstance(error, OutsideError):
             stored = condition(

@@ -38,7 +38,7 @@ _EVENT = "sigma_learned"
 
 
 class ValidCamera(NamedTuple):
-    """A calibration, and the times (seconds since 1970-01-01 UTC) for which its pose holds."""
+    """Calibration, and the times (seconds since 1970-01-01 UTC) for which its pose holds."""
 
     calibration: Calibration
     since: float = -math.inf
@@ -100,7 +100,7 @@ _TAILS = 6.0
 
 
 def series_sigma(residual: FloatArray, sigma_px: FloatArray, sky: Sequence[str]) -> FloatArray:
-    """Return (n,): 1-sigma per axis of the sightings of a series, by the scatter of those of their kind of sky.
+    """Return (n,): 1-sigma per axis of the sightings of a series, from the scatter of those under the same kind of sky.
 
     It is what is stated times the root mean square of the residuals of all sightings with one verdict and about the
     same stated sigma (an octave), tails included; of kinds with few sightings, of all of them. It is never made

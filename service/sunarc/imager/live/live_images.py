@@ -44,7 +44,7 @@ _PERHAPS_ELSEWHERE = frozenset({"hidden", "reflection"})
 
 
 class LiveImage(NamedTuple):
-    """An image that has come: its file below the folder, when, how exposed, and its content.
+    """Image that has arrived: its file below the folder, time, exposure and content.
 
     content: hash of the file's bytes.
     """
@@ -56,7 +56,7 @@ class LiveImage(NamedTuple):
 
 
 class Repetitions:
-    """Finds pictures that came before with another time, and reports a camera with a fault.
+    """Detection of images that repeat an earlier one, with a condition for a camera that does so.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ class Repetitions:
         self._times: OrderedDict[str, datetime] = OrderedDict()
 
     def resume(self) -> None:
-        """Remember the files from before the start, and the suns in them."""
+        """Read the last files and their suns from the archive, after a restart."""
         suns = self._camera.archive.sightings.find(self._camera.name, accepted=True, newest_first=True, limit=_SUNS)
         for point in reversed(suns):
             if point.x_px is not None and point.y_px is not None:
@@ -108,7 +108,7 @@ class Repetitions:
 
 @dataclass(eq=False)
 class LiveImages:
-    """Looks for the sun in the images of one time, and stores the sightings.
+    """Detection of the sun in the images of one time; the sightings are stored.
 
     With a calibration the sun is looked for where it should be, and where it is not there, in the whole image: a sun
     elsewhere tells that the camera was moved. Without one the whole image is searched.
@@ -151,12 +151,12 @@ class LiveImages:
         return None if record is None else record.image_size
 
     def register(self, sizes: Sequence[tuple[int, int]]) -> None:
-        """Write the camera down with the size (width, height) that most of some images have, unless it is known."""
+        """Store the camera with the size (width, height) that most of some images have, unless it is stored."""
         if self.size is None and sizes:
             register_camera(self.camera.archive, self.settings, Counter(sizes).most_common(1)[0][0])
 
     def take(self, address: str, images: Sequence[LiveImage]) -> list[Finding | None]:
-        """Look at the images of one time, store their sightings, and return why each was left out, None where not.
+        """Detect the sun in the images of one time, store the sightings, and return each image's finding, else None.
 
         `TWO_PICTURES` is of one that is stored, and was set aside.
 
@@ -216,7 +216,7 @@ class LiveImages:
             self.board.note(last_sighting_at=time)
 
     def _report_newest_sun(self, time: datetime, suns: Iterable[Detection]) -> None:
-        """Pass on the sun of an image that is later than those before: in another order it would seem to go back."""
+        """Pass on the sun of an image later than all before it: in another order it would seem to move back."""
         for found in suns:
             if (found.accepted or found.verdict == ELSEWHERE) and (self._noticed is None or time > self._noticed):
                 self._noticed = time
@@ -235,7 +235,7 @@ class LiveImages:
     def _detect_suns(
         self, address: str, images: Sequence[LiveImage], expected: Expectation | None, *, outside: bool
     ) -> list[Answer]:
-        """Return the answer for each image; of the ordinary ones within the prediction's bounds."""
+        """Return the detection for each image; in ordinary images it has to agree with the prediction."""
         items = tuple(Item(one.file, 0, one.exposure_us, expected, outside) for one in images)
         size = self.size or (0, 0)
         chunk = Chunk(self.camera.name, address, self.method, size, items, stack=len(items) > 1)
@@ -250,7 +250,7 @@ class LiveImages:
         return scale_detection_sigma(found, factor_in_force(self.camera.archive, self.camera.name, found.method))
 
     def _search_whole_images(self, address: str, images: Sequence[LiveImage], suns: dict[str, Detection]) -> None:
-        """Search the whole of images without a sun where it should be; one that is found is of a camera that moved."""
+        """Search whole images where no sun is at the predicted place; a sun elsewhere shows that the camera moved."""
         perhaps = [
             one for one in images if one.file in suns and suns[one.file].verdict in {*_PERHAPS_ELSEWHERE, IN_STACK}
         ]
@@ -290,7 +290,7 @@ class LiveImages:
         learn_sigma(self.camera.archive, self.settings, [valid], now=record.created_at)
 
     def _reject_deviating(self, record: CalibrationRecord, model: Calibration) -> None:
-        """Refuse sightings of a whole image that are not where a calibration of their pose says the sun was."""
+        """Reject sightings of a whole image that deviate from the prediction of a calibration of their pose."""
         searched = self.camera.archive.sightings.find(
             self.camera.name, accepted=True, pose_epoch=record.pose_epoch, ingest_pass=SEARCHED
         )

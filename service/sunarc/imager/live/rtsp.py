@@ -32,7 +32,7 @@ _IDLE_SHARE = 0.5
 
 @dataclass(eq=False)
 class RtspClient:
-    """Takes a key frame from a camera's stream; each time anew, for decoding all frames of a day costs a processor.
+    """Client that takes one key frame from a camera's stream at each call; decoding all would occupy a processor.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ class RtspClient:
 
 
 def _decoder_answers(lines: Sequence[str]) -> bool:
-    """Return whether the decoder logs in as safely as DESCRIBE did.
+    """Return whether the decoder can log in as safely as the DESCRIBE request did.
 
     FFmpeg takes the last line that begins with Digest, of MD5 alone; without one the password goes as Basic, even where
     a line that begins with Basic offers Digest behind it.
@@ -167,7 +167,7 @@ def make_client(
 
 @contextmanager
 def _open_stream(address: str, timeout_s: float) -> Iterator[cv2.VideoCapture]:
-    """Open a stream by TCP; neither that nor waiting for a frame takes longer than the timeout, whatever drips in."""
+    """Open a stream over TCP; opening it and waiting for a frame take no longer than the timeout."""
     timeout_ms = math.ceil(1000.0 * timeout_s)
     stream = cv2.VideoCapture(
         address,

@@ -54,7 +54,7 @@ _AGE_DIGITS = 12
 
 
 class Snapshot(NamedTuple):
-    """A picture: its content, the kind of its file ("jpg", "png"), the middle of the request, and half its duration."""
+    """Picture of a camera: content, file kind ("jpg", "png"), middle of the request, and half its duration."""
 
     content: bytes
     suffix: str
@@ -63,7 +63,7 @@ class Snapshot(NamedTuple):
 
 
 class SnapshotClient:
-    """Asks a camera for its picture, and refuses other answers.
+    """Client that asks a camera for its picture by HTTP, and refuses other answers.
 
     Parameters
     ----------
@@ -160,12 +160,12 @@ class SnapshotClient:
 
 
 def encode_png(image: cv2.typing.MatLike) -> bytes:
-    """Return an image without a loss; compressed little, for speed."""
+    """Return an image as a lossless PNG, compressed little, for speed."""
     return cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
 
 
 def _resolve_redirect(url: urllib.parse.SplitResult, location: str) -> urllib.parse.SplitResult | str:
-    """Return the address on the same host that an answer refers to, or as text another host or an invalid address."""
+    """Return the address on the same host to which an answer redirects; as text another host, or an invalid address."""
     written = urllib.parse.quote(location, safe=string.punctuation, encoding="latin-1")
     try:
         target = urllib.parse.urlsplit(urllib.parse.urljoin(url.geturl(), written))
@@ -184,7 +184,7 @@ def _trust(options: SnapshotOptions) -> http_exchange.Trust:
 
 
 def _age_s(headers: Mapping[str, str], content: bytes, now: datetime) -> float:
-    """Return the age of a picture by its statements, the oldest: a cache's Age, Last-Modified, or EXIF.
+    """Return the age of a picture by a cache's Age, Last-Modified, or EXIF: the largest of them.
 
     Last-Modified is compared with Date, which is of the same clock; EXIF counts where it has a zone.
     """
@@ -219,7 +219,7 @@ _REFUSED = {"http": "http_refused", "rtsp": "rtsp_refused"}
 
 
 class PictureClient(Protocol):
-    """Gets a camera's picture of now; `host` is the camera's."""
+    """Client that gets a camera's present picture; `host` is the camera's."""
 
     host: str
 
@@ -230,7 +230,7 @@ class PictureClient(Protocol):
 
 @dataclass(eq=False)
 class SnapshotWorker:
-    """Takes a picture at every slot, by day at `capture.cadence_s`, else at `capture.night_cadence_s`.
+    """Worker that takes a picture at every slot, by day each `capture.cadence_s`, else each `capture.night_cadence_s`.
 
     Parameters
     ----------
@@ -301,7 +301,7 @@ class SnapshotWorker:
         self._set_condition(None if left_out is None or repeated else self._make_refusal(left_out))
 
     def _take_picture(self, found: Snapshot) -> Finding | None:
-        """Look at a picture, and return why it is left out; None where it is not."""
+        """Process a picture, and return the finding if it is left out; None where it is used."""
         path = self._write_picture(found)
         self._n_frames += 1
         self.within_s = found.within_s
@@ -324,7 +324,7 @@ class SnapshotWorker:
         return None
 
     def _write_picture(self, found: Snapshot) -> Path:
-        """Write a picture where it is kept, or where the next one takes its place; return its path.
+        """Write a picture where pictures are kept, or where the next one replaces it; return its path.
 
         A disk without room costs the kept picture alone: the sun is found in it all the same.
         """

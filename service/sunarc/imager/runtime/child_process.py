@@ -47,7 +47,7 @@ _KEPT_BYTES, _LARGEST_BYTES = 1 << 29, 1 << 25
 
 
 def keep_freed_memory() -> None:
-    """Have glibc keep the blocks below 32 MB that this process frees, for its next allocations.
+    """Have glibc keep blocks below 32 MB that this process frees, for its next allocations.
 
     A fit asks for some MB thousands of times. With the unit's setting, by which the service gives back what its frames
     needed, every MB would be mapped and cleared anew: a third of the time of a fit of ten days. Images of an archive
@@ -63,7 +63,7 @@ _VARIABLES = ("OMP_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
 
 
 def one_thread_each() -> None:
-    """Have BLAS, OpenMP and OpenCV compute with one thread a process, unless the environment says how many.
+    """Limit BLAS, OpenMP and OpenCV to one thread a process, unless the environment states another number.
 
     The matrices are small: further threads wait for one another longer than they compute, under other load ten times
     as long. Several images or fits at a time are several processes. The libraries read this when they are loaded, and

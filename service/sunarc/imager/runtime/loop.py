@@ -47,7 +47,7 @@ class Loop:
         return turns(self.stop, self.heartbeat)
 
     def wait(self, seconds: float) -> bool:
-        """Wait with heartbeats, and return whether the loop was stopped; nothing is waited for then."""
+        """Wait with heartbeats, and return whether the loop was stopped; returns at once then."""
         end_s = self.clock.monotonic() + seconds
         for _ in self.turns():
             remaining_s = end_s - self.clock.monotonic()
@@ -57,19 +57,19 @@ class Loop:
         return True
 
     def repeat(self, work: Callable[[], float]) -> None:
-        """Do the work until stopped; it returns the seconds until the next time."""
+        """Call `work` until stopped, each time after the number of seconds that it returned."""
         for _ in self.turns():
             self.wait(work())
 
     def every(self, seconds: float, work: Callable[[], None]) -> None:
-        """Do the work until stopped, with so many seconds between."""
+        """Call `work` until stopped, with so many seconds between calls."""
         for _ in self.turns():
             work()
             self.wait(seconds)
 
 
 def entries(queue: DropOldestQueue[T], stop: threading.Event, heartbeat: Callable[[], None]) -> Iterator[T | None]:
-    """Yield the entries of a queue, None where none came for half a second; when stopped, until none waits."""
+    """Yield the entries of a queue, None where none came for half a second; once stopped, until it is empty."""
     while True:
         heartbeat()
         entry = queue.get(timeout_s=_QUEUE_S)
@@ -79,7 +79,7 @@ def entries(queue: DropOldestQueue[T], stop: threading.Event, heartbeat: Callabl
 
 
 class Pauses(NamedTuple):
-    """Seconds between attempts: after success and a first failure, and the longest after many."""
+    """Pauses between attempts, s: after a success, after the first failure, and the longest after many."""
 
     every_s: float
     longest_s: float
@@ -91,7 +91,7 @@ class Pauses(NamedTuple):
 
 @dataclass(eq=False)
 class Attempts:
-    """Work that fails for a cause outside: done again after growing pauses, with a condition while it fails.
+    """Work that may fail for causes outside: repeated after growing pauses, with a condition while it fails.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ class Attempts:
         self._succeeded_s = self.clock.monotonic()
 
     def attempt(self, work: Callable[[], float | None]) -> float:
-        """Do the work, and return the seconds until the next time: those that it returns, or else the usual pause.
+        """Call `work`, and return the seconds until the next call: its own answer, or the usual pause.
 
         An `OutsideError` is a failure; any other error ends the loop.
         """
@@ -137,11 +137,11 @@ class Attempts:
         return self.pauses.after(self._failures)
 
     def answered(self) -> None:
-        """Count time from now: there was an answer, though perhaps no success."""
+        """Restart the time after which the condition is set: there was an answer, though perhaps no success."""
         self._succeeded_s = self.clock.monotonic()
 
     def succeeded(self) -> None:
-        """Begin anew with the shortest pause, and clear the condition."""
+        """Restart with the shortest pause, and clear the condition."""
         self._failures = 0
         self.answered()
         self.board.set_condition(self.code, None)
@@ -162,7 +162,7 @@ class DropOldestQueue(Generic[T]):
         self._dropped = 0
 
     def put(self, thing: T) -> None:
-        """Add a thing; never waits."""
+        """Add an entry without waiting; where the queue is full the oldest is dropped."""
         with self._changed:
             if len(self._waiting) >= self._capacity:
                 self._waiting.popleft()
@@ -171,7 +171,7 @@ class DropOldestQueue(Generic[T]):
             self._changed.notify()
 
     def get(self, *, timeout_s: float) -> T | None:
-        """Return the oldest thing waiting, or None when none came within `timeout_s` real seconds."""
+        """Return the oldest entry, or None where none came within `timeout_s` real seconds."""
         with self._changed:
             # One wait and no loop: a wake-up without an entry is to the caller a time-out that came early.
             if not self._waiting:
@@ -180,13 +180,13 @@ class DropOldestQueue(Generic[T]):
 
     @property
     def dropped(self) -> int:
-        """Number of things dropped so far."""
+        """Number of entries dropped so far."""
         with self._changed:
             return self._dropped
 
     @property
     def full(self) -> bool:
-        """True where the next put would push a thing out."""
+        """True where the next `put` would drop an entry."""
         return len(self) >= self._capacity
 
     def __len__(self) -> int:

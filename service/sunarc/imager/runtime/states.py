@@ -47,7 +47,7 @@ _UNLISTED = 1000
 
 
 class _Condition(Protocol):
-    """Column of a condition."""
+    """Code, severity and text of a condition."""
 
     @property
     def code(self) -> str: ...
@@ -60,7 +60,7 @@ class _Condition(Protocol):
 
 
 def condition_state(code: str, severity: Severity) -> State:
-    """Return the state that a condition makes."""
+    """Return the service state to which a condition leads."""
     if severity == "not_ready" or code not in _RANKS:
         return _OF_SEVERITY[severity]
     return _RANKS[code][0]

@@ -24,7 +24,7 @@ WorkerState = Literal["starting", "running", "restarting", "stopped", "failed"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WorkerStatus(Returned):
-    """One worker."""
+    """Status of one worker."""
 
     name: Annotated[str, described("Its name.", "capture")]
     state: Annotated[WorkerState, described("`failed`: it ended too often and is not started again.")]
@@ -39,7 +39,7 @@ class WorkerStatus(Returned):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reason(Returned):
-    """Why the service is degraded or not ready, or a note; one reason per code."""
+    """Condition of the service: why it is degraded or not ready, or a note; one for each code."""
 
     code: Annotated[str, described("Stable name of the reason.", "no_calibration")]
     severity: Annotated[
@@ -55,12 +55,12 @@ class Reason(Returned):
     @computed_field(description="The state of a service with this reason alone.", examples=["starting"])  # type: ignore[prop-decorator]
     @property
     def state(self) -> State:
-        """The state that it makes, by its code and severity."""
+        """Service state to which the condition leads, by its code and severity."""
         return condition_state(self.code, self.severity)
 
     @staticmethod
     def of(finding: Finding, *, severity: Severity = "degraded", code: str | None = None) -> Reason:
-        """Return the reason that a finding is, by its message; `code` where it is one of several of its kind."""
+        """Return the condition of a finding, with its message; `code` where it is one of several of its kind."""
         return Reason(
             code=code or finding.code,
             severity=severity,
@@ -177,7 +177,7 @@ class Notes(TypedDict, total=False):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StatusSnapshot:
-    """The whole board at one moment; None is "not known yet". Times are aware, UTC, and of the frames.
+    """Whole status board at one moment; None means "not known yet". Times are aware, UTC, and of the frames.
 
     `reasons` are the conditions that make the health; `notes` are those of severity `note`.
     """
@@ -224,7 +224,7 @@ class StatusSnapshot:
 
 
 class StatusRegistry:
-    """The one place where the service's state is written down; any thread may write or read.
+    """Status board: the state of the service as values; any thread may write or read.
 
     Parameters
     ----------
@@ -245,7 +245,7 @@ class StatusRegistry:
         self._earlier_until_s = 0.0
 
     def set_worker(self, status: WorkerStatus) -> None:
-        """Write the state of a worker, in place of the former one."""
+        """Set the status of a worker, in place of the former one."""
         with self._lock:
             self._workers[status.name] = (status, self._monotonic())
 
@@ -296,7 +296,7 @@ class StatusRegistry:
                     self._reasons[code] = replace(present, since=since)
 
     def awaited(self) -> Mapping[str, datetime]:
-        """Return since when the conditions held that were taken over and may still be set again."""
+        """Return the start times of conditions from before a restart that have not been set again yet."""
         with self._lock:
             return dict(self._earlier) if self._monotonic() < self._earlier_until_s else {}
 
@@ -310,7 +310,7 @@ class StatusRegistry:
         return self._started_at + timedelta(seconds=self._monotonic() - self._started_s)
 
     def note(self, **changes: Unpack[Notes]) -> None:
-        """Write down facts, by the names of `StatusSnapshot`: `board.note(last_frame_at=frame.time)`."""
+        """Set facts on the board, by the names of `StatusSnapshot`: `board.note(last_frame_at=frame.time)`."""
         with self._lock:
             self._noted = replace(self._noted, **changes)
 

@@ -22,7 +22,7 @@ _STUCK, _OPTIONAL_STUCK = "worker_stuck", "optional_worker_stuck"
 
 
 class Heartbeat:
-    """Monotonic time at which a loop last turned.
+    """Monotonic time of a loop's last turn.
 
     Parameters
     ----------
@@ -117,12 +117,12 @@ class Worker(Protocol):
     """A loop with a thread of its own."""
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
-        """Work until `stop` is set, and call `heartbeat` at every turn; to raise or to return earlier is to die."""
+        """Work until `stop` is set, and call `heartbeat` at every turn; to raise or return earlier is a death."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SupervisorOptions:
-    """When a worker has failed, or is taken for stuck.
+    """Limits after which a worker counts as failed or as stuck.
 
     Attributes
     ----------
@@ -142,7 +142,7 @@ class SupervisorOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Supervised:
-    """A worker the supervisor keeps alive.
+    """Worker that the supervisor keeps alive.
 
     Attributes
     ----------
@@ -182,7 +182,7 @@ class Watchdog:
 
 
 class Supervisor:
-    """Runs workers until `stop`, each in a thread named after it.
+    """Supervisor that runs workers until `stop`, each in a thread named after it.
 
     A dead worker is made anew after a back-off; from its second death within the window until it has run for 30 s
     this is a condition on the board. One that keeps dying has failed: it is retried every 300 s while the others go
@@ -284,7 +284,7 @@ class Supervisor:
 
 
 class _Life:
-    """One worker's births and deaths; `keep` runs in the worker's thread, `check` in any."""
+    """Starts, deaths and restarts of one worker; `keep` runs in the worker's thread, `check` in any."""
 
     def __init__(self, worker: Supervised, *, clock: Clock, board: StatusRegistry, stop: threading.Event) -> None:
         self.name = worker.name
@@ -307,7 +307,7 @@ class _Life:
         self._lock = threading.Lock()
 
     def keep(self) -> None:
-        """Live, die and live again, until stopped; an essential worker until it has failed."""
+        """Run the worker, and start it again when it dies, until stopped; an essential worker until it has failed."""
         while not self._stop.is_set():
             self._last_error = self._run_once()
             if self._stop.is_set():
@@ -375,7 +375,7 @@ class _Life:
             self._clear_conditions("worker_hindered")
 
     def _clear_death_conditions(self) -> None:
-        """Take back the conditions of a worker that died, once it has run for longer than the longest back-off."""
+        """Clear the conditions of a worker that died, once it has run for longer than the longest back-off."""
         self._clear_blocked()
         self._died_too_often = False
         self._clear_conditions("worker_restarting", "worker_failed")

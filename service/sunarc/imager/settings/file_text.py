@@ -121,7 +121,7 @@ def _require_only(before: str, after: str, name: str, value: Value) -> str:
 
 
 class _Line(NamedTuple):
-    """Lines of a setting: from which to before which, and the comment behind its value."""
+    """Range of the lines of a setting, and the comment after its value."""
 
     first: int
     end: int

@@ -28,7 +28,7 @@ UTC = "UTC"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SiteOptions(Site):
-    """A place on the ground, with the time zone of the people there.
+    """Site of the camera, with the time zone of the people there.
 
     Attributes
     ----------
@@ -165,7 +165,7 @@ class Settings(_WithStore):
 
     @property
     def is_replay(self) -> bool:
-        """True where the frames' clock is that of a replay or of a simulation, not the present time."""
+        """True where the frames' clock is a replay's or a simulation's, not the present time."""
         return self.source == "replay" or self.capture.speed != 1.0
 
     @property

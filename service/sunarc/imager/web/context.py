@@ -44,7 +44,7 @@ Value = TypeVar("Value")
 
 
 class _OfCamera(Convertor[str]):
-    """Matches `/cameras/NAME` as the name, and nothing at all as an empty one: this service's own camera."""
+    """Path converter that reads `/cameras/NAME` as a name, and nothing at all as this service's own camera."""
 
     regex = "(?:/cameras/[^/]+)?"
 

@@ -32,7 +32,7 @@ _MAX_KINDS = 256
 
 @dataclass(slots=True)
 class _Kind:
-    """When a fault was last logged, and how often it has come since."""
+    """Time at which a fault was last logged, and the count of later ones."""
 
     logged_at_s: float
     unlogged: int = 0
@@ -116,7 +116,7 @@ _REMEDY = "see /openapi.json for what is expected"
 
 
 class Fault(BaseModel):
-    """One thing that is wrong."""
+    """One fault of a request: field, problem and remedy."""
 
     field: str = Field(description="Where: a parameter, or a place in the body.", examples=["pixels[3][0]"])
     problem: str = Field(description="What is wrong with it.", examples=["input should be a finite number"])
@@ -148,7 +148,7 @@ _NOT_JSON = Fault(field="content-type", problem="is not accepted", remedy="send 
 
 
 class RefusedError(SunarcError):
-    """A request that is refused by its form, whatever it asks.
+    """Error of a request that is refused by its form, whatever it asks for.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ class RefusedError(SunarcError):
 
 
 class UnreadError(HTTPException):
-    """A body that is not read to its end; the connection ends with it. FastAPI hands it on where it reads a body.
+    """Error of a request whose body is not read to its end; its connection is closed after the answer.
 
     Parameters
     ----------

@@ -128,7 +128,7 @@ class CaptureWorker:
         return slot
 
     def _serve(self, *, real_every_s: float) -> None:
-        """Note that a slot is served, and count those that passed since the last."""
+        """Mark a slot as served, and count the slots missed since the last one."""
         now_s = self.clock.monotonic()
         self._missed_before = 0
         if self._last_slot_at_s is not None:
@@ -142,7 +142,7 @@ class CaptureWorker:
             self.frame_time.set_speed(condition.speed)
 
     def cycle(self, camera: SkyCamera, slot: datetime, *, within_s: float) -> None:
-        """Take the exposures of one slot and hand them over, once the camera says that nothing of it has changed."""
+        """Take the exposures of one slot, and pass them on once the camera confirms its settings."""
         began_at = self.clock.monotonic()
         done_at: list[float] = []
         exposer = self._exposer(camera, deadline_s=began_at + within_s)
@@ -189,7 +189,7 @@ class CaptureWorker:
         return taken
 
     def _at_night(self, exposer: ExposureSequence, camera: SkyCamera) -> None:
-        """Take the stars and the moon once it is dark, before that and without `night` a sign of life."""
+        """Take the exposures of stars and moon once it is dark; before, or without `night`, a test exposure."""
         if self.night is None or self.apparent_zenith() < DARK_ZENITH_DEG:
             self._test_camera(exposer, max(self.options.hdr_exposures_us))
             return
@@ -207,7 +207,7 @@ class CaptureWorker:
                 self.night.moon.frames.put(taken)
 
     def _test_camera(self, exposer: ExposureSequence, exposure_us: float) -> None:
-        """Take an exposure that shows only that the camera answers, and its time."""
+        """Take an exposure that only tests whether the camera answers, and gives its time."""
         frame = exposer.take(exposure_us)
         self._report.record_test_exposure(succeeded=frame is not None)
         if frame is not None:
@@ -235,7 +235,7 @@ class CaptureWorker:
             )
 
     def _received(self, frame: Frame) -> None:
-        """Take the time from a frame, whose exposure has just ended."""
+        """Set the frame time by a frame, whose exposure has just ended."""
         ended_at = frame.time + timedelta(microseconds=frame.exposure_us / 2.0)
         self.frame_time.note(ended_at, host_offset_s=frame.host_offset_s)
         self._report.frame(frame)

@@ -25,7 +25,7 @@ _DARK_SLOTS = 10
 
 @dataclass(eq=False)
 class RepeatedCondition:
-    """A condition after so many repetitions in a row.
+    """Condition that is set after a number of repetitions in a row.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ class RepeatedCondition:
     n: int = field(default=0, init=False)
 
     def note(self, happened: bool, **data: float | str) -> None:  # noqa: FBT001 - what it is about
-        """Count that it happened, or begin anew; set or clear the condition."""
+        """Count a repetition, or begin anew; set or clear the condition."""
         self.n = self.n + 1 if happened else 0
         reason = condition(self.code, severity=self.severity, **{self.key: self.n, **data})
         self.board.set_condition(self.code, reason if self.n >= self.least else None)
@@ -62,7 +62,7 @@ _SUN_LASTING = 3
 
 @dataclass(eq=False)
 class CaptureReport:
-    """Counts for one thread, and writes on the board.
+    """Counts of the capture thread, published on the status board.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ class CaptureReport:
     name: str
 
     def __post_init__(self) -> None:
-        """Begin without a camera, with counts of 0."""
+        """Begin without a camera, all counts 0."""
         self._camera = CameraStatus(name=self.name, connected=False)
         self._counts = CaptureStatus()
         self._missed_slots = MissedSlots(self.board)
@@ -88,7 +88,7 @@ class CaptureReport:
 
     @property
     def failure(self) -> str:
-        """Failure of the last exposure."""
+        """Error text of the last exposure."""
         return self._failure
 
     def add(self, **counts: int) -> None:
@@ -106,7 +106,7 @@ class CaptureReport:
         self._failure = str(error)
 
     def cycle(self, *, complete: bool, overran: bool, jitter_s: float | None, hdr_s: float) -> None:
-        """Take note of a slot's cycle.
+        """Record the cycle of a slot.
 
         Parameters
         ----------
@@ -123,7 +123,7 @@ class CaptureReport:
         self._overrun.note(overran, hdr_s=hdr_s)
 
     def sun_slot(self, *, observed: bool, failed: bool, missed_before: int, dropped: int) -> None:
-        """Take note of a slot with the sun up.
+        """Record a slot with the sun up.
 
         Parameters
         ----------
@@ -138,7 +138,7 @@ class CaptureReport:
         self._sun_failed.note(failed, error=self._failure)
 
     def normal_frames(self, frames: Sequence[Frame], *, apparent_zenith: float) -> None:
-        """Record a slot's normal exposures; by night and in twilight a black one says nothing, a bright one always."""
+        """Record a slot's normal exposures; black ones count by day alone, bright ones always."""
         longest = max(frames, key=lambda frame: frame.exposure_us)
         dark = is_dark(longest.image, full_scale=longest.full_scale)
         if not dark or apparent_zenith < LIT_ZENITH_DEG:
@@ -150,7 +150,7 @@ class CaptureReport:
         self.board.note(last_frame_at=frame.time)
 
     def night_level(self, frame: Frame, *, apparent_zenith: float) -> bool:
-        """Record how bright an exposure of the night is, and return whether it is full; two of daylight are said."""
+        """Record a night exposure's brightness, and return whether it is full; two of daylight set a condition."""
         level = float(np.median(frame.image[::8, ::8])) / frame.full_scale
         lit = level > _LIT_LEVEL and level / (frame.exposure_us * 1e-6) > _DAYLIGHT_PER_S
         full = level > _FULL_LEVEL
@@ -170,7 +170,7 @@ class CaptureReport:
         self._overrun.n = 0  # the condition stays over the night: a cycle of the next day ends it
 
     def opened(self, info: CameraInfo) -> None:
-        """Record that the camera answers."""
+        """Record that a camera has answered."""
         _log.info("camera %s %s (%s) answers at %s", info.vendor, info.model, info.serial, info.address)
         self._set_lost(None)
         self.board.set_condition("camera_refused", None)
@@ -207,7 +207,7 @@ class CaptureReport:
         self._set_lost("exposures_contradicted" if doubted else "camera_lost", str(error))
 
     def _set_lost(self, code: str | None, error: str = "") -> None:
-        """Publish why there is no connection, one cause at a time; None: there is one."""
+        """Publish why there is no connection, one cause at a time; None where there is one."""
         for one in ("camera_lost", "exposures_contradicted"):
             self.board.set_condition(one, condition(one, error=error) if one == code else None)
 
@@ -234,7 +234,7 @@ _SET_SHARE, _CLEAR_SHARE = 0.25, 0.1
 
 
 class MissedSlots:
-    """Keeps the last slots with the sun up, and sets the condition `slots_missed`.
+    """Record of the last slots with the sun up, with the condition `slots_missed`.
 
     Parameters
     ----------
@@ -247,7 +247,7 @@ class MissedSlots:
         self._after_outage = False
 
     def add(self, *, missed_before: int) -> None:
-        """Add a slot that got its cycle, and those that passed without one before it; set or clear the condition.
+        """Record a slot with a cycle, and the slots missed before it; set or clear the condition.
 
         Parameters
         ----------
@@ -265,7 +265,7 @@ class MissedSlots:
             self._board.set_condition(SLOTS_MISSED, None)
 
     def outage(self) -> None:
-        """Take note that the camera is lost: the slots until it is back are not the host's."""
+        """Record that the camera is lost: slots until its return do not count."""
         self._after_outage = True
 
 
@@ -276,7 +276,7 @@ _OVERDUE_SLOTS = 10
 
 @dataclass(kw_only=True, eq=False)
 class OverdueSightings:
-    """Sets the condition `no_sightings` after ten slots with the sun up in which none was stored, rejected or not.
+    """Condition `no_sightings`: no sighting, accepted or rejected, in ten slots with the sun up.
 
     Time is counted by the monotonic clock, which a wrong or stepped wall clock leaves alone.
 

@@ -72,7 +72,7 @@ class FrameTime:
         return not self._follows_camera or self._last is not None
 
     def note(self, captured_at: datetime, *, host_offset_s: float | None = None) -> None:
-        """Take the time from a frame just received.
+        """Set the frame time by a frame just received.
 
         Parameters
         ----------
@@ -130,7 +130,7 @@ class ClockReading:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClockStep:
-    """A clock was set by `step_s` somewhere between two readings.
+    """Step of a clock by `step_s` between two readings.
 
     Attributes
     ----------
@@ -152,7 +152,7 @@ class ClockStep:
         return (self.doubted[0][1] - self.doubted[0][0]).total_seconds()
 
     def doubts(self, time: datetime) -> bool:
-        """Return whether this wall time may be from either side of the step."""
+        """Return whether a wall time may be from before or after the step."""
         return any(since <= time <= until for since, until in self.doubted)
 
 
@@ -174,13 +174,13 @@ def step_between(before: ClockReading, now: ClockReading, *, least_s: float) -> 
 
 
 class GradualSteps:
-    """Finds steps that are too small to be found from one look to the next, by comparing readings far apart."""
+    """Search for steps that are too small between successive readings, by comparing readings far apart."""
 
     def __init__(self) -> None:
         self._anchors: dict[float, ClockReading] = {}
 
     def restart(self, reading: ClockReading) -> None:
-        """Compare with this reading from now on: the clock was set, and that is known."""
+        """Compare with this reading from now on, after a known step."""
         self._anchors = dict.fromkeys(_WINDOWS_S, reading)
 
     def step_to(self, reading: ClockReading, *, least_s: float) -> ClockStep | None:
@@ -209,7 +209,7 @@ class UntrustedTimes:
         self._growing = False
 
     def note(self, before: ClockReading | None, now: ClockReading, *, step: ClockStep | None, trusted: bool) -> None:
-        """Take note of the clock: its reading, the one before, the step between them, and whether it is trusted."""
+        """Record the clock: its reading, the one before, the step between them, and whether it is trusted."""
         since = now.wall if before is None else before.wall
         if step is not None:
             if self._growing:
@@ -250,7 +250,7 @@ SHOW_STEP_S = 3600.0
 
 @dataclass(kw_only=True, eq=False)
 class ClockWatch:
-    """Compares wall time with monotonic time, and keeps the kernel's word on its clock.
+    """Comparison of wall time and monotonic time, and the kernel's error bound of its clock.
 
     Parameters
     ----------
@@ -314,7 +314,7 @@ class ClockWatch:
         return max([self._bound_s(), *doubts])
 
     def cleaning_time(self) -> datetime | None:
-        """Return the time that the age of images is counted from; None while the clock is not to be trusted with it."""
+        """Return the time from which the age of images is counted; None while the clock is not trusted."""
         if not self.frame_time.is_known or not self.trusted():
             return None
         undisturbed_s = self._clock.monotonic() - self._undisturbed_since_s
@@ -397,7 +397,7 @@ class ClockWatch:
         self._is_compared_with_record = True
 
     def _take(self, step: ClockStep, now: ClockReading) -> None:
-        """Take a step into account."""
+        """Record a step, start the wait, and widen the clock error of affected sightings."""
         self._doubts.append(step)
         if self._is_leap_second(step):
             return
@@ -434,7 +434,7 @@ class ClockWatch:
         return 0.0 if agrees or abs(off_s) <= self._least_step_s else off_s
 
     def _write_down(self) -> None:
-        """Remember the steps, and widen the bounds of sightings that were stored before a step was found."""
+        """Store the steps, and widen the bounds of sightings stored before a step was found."""
         while self._unwritten:
             step, wait_s = self._unwritten[0]
             try:
@@ -518,7 +518,7 @@ class ClockWatch:
             _log.warning("could not store an event: %s", error)
 
     def _put(self, code: str, finding: Finding | None, *, log: bool = False) -> None:
-        """Set or clear a condition; without `log` where an event says the same."""
+        """Set or clear a condition; without a log line where an event states the same."""
         self.board.set_condition(code, None if finding is None else Reason.of(finding), log=log)
 
 
@@ -552,12 +552,12 @@ def stepped(code: str, clock: str, step: ClockStep) -> Finding:
 
 
 def is_tai(offset_s: float) -> bool:
-    """Return whether two clocks differ by about TAI less UTC, which no wrong clock does but by chance."""
+    """Return whether two clocks differ by about TAI minus UTC."""
     return abs(abs(offset_s) - TAI_MINUS_UTC_S) < _ABOUT_S
 
 
 def camera_offset(offset_s: float, *, limit_s: float) -> Finding:
-    """Return that the camera's time differs from the host's, and the cause that the difference suggests."""
+    """Return the finding of a camera's time that differs from the host's, with the likely cause."""
     if is_tai(offset_s):
         cause = f"; {TAI_MINUS_UTC_S:.0f} s is TAI - UTC"
         remedy = f'set camera.timestamp_scale = "{"tai" if offset_s > 0.0 else "utc"}"'
@@ -589,7 +589,7 @@ class _Settling:
 
 
 class ClockAgreement:
-    """Remembers how the wall clock stood against the monotonic one, and from when on a new time is accepted."""
+    """Difference of wall clock and monotonic clock, and the time from which a new wall time is accepted."""
 
     def __init__(self) -> None:
         self._newest_stored: datetime | None = None
@@ -627,7 +627,7 @@ class ClockAgreement:
         return wait_s
 
     def agreed(self, reading: ClockReading) -> None:
-        """Take a reading of a clock that is synchronised; once settled, later steps are compared with it."""
+        """Take a reading of a synchronised clock; once settled, later steps are compared with it."""
         if self.wait_s(reading.monotonic_s) == 0.0:
             self._settling = None
             self._good = reading

@@ -16,7 +16,7 @@ COMPARABLE_S = 120.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Cycle:
-    """The frames of one cycle; a normal exposure that failed is None."""
+    """Frames of one cycle; a normal exposure that failed is None."""
 
     normal: tuple[Frame | None, ...]
     sun: tuple[Frame, ...]
@@ -33,7 +33,7 @@ class Cycle:
 
 
 class CycleConsistencyFilter:
-    """Delays the first cycle until a second has the same brightness; compares each later one with the last accepted.
+    """Filter that compares each cycle's brightness with the last accepted one's; the first waits for a second.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ class CycleConsistencyFilter:
         self._held_back: tuple[Cycle, _CycleLevel] | None = None
 
     def contradiction(self, frames: Sequence[Frame]) -> str | None:
-        """Return how a cycle's normal frames contradict the last accepted cycle, one sentence; None: they do not."""
+        """Return how a cycle's frames contradict the last accepted cycle, one sentence; None where they agree."""
         if not frames or self._reference is None:
             return None
         factor = self._reference.factor_to(_cycle_level(frames))
@@ -94,7 +94,7 @@ class _CycleLevel:
 
     @property
     def tells(self) -> bool:
-        """True where there is contrast enough to compare others with it."""
+        """True where the contrast suffices to compare other cycles with it."""
         return factor_all_over(self.level, self.level) is not None
 
     def factor_to(self, later: _CycleLevel) -> float | None:

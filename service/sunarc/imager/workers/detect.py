@@ -67,7 +67,7 @@ class _Disc:
 
 @dataclass(eq=False)
 class FrozenFrames:
-    """Rejects sightings in images that were delivered before, and reports a camera that repeats its images.
+    """Check for frames that repeat earlier ones, with a condition for such a camera.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ class FrozenFrames:
     board: StatusRegistry
 
     def __post_init__(self) -> None:
-        """Begin without images."""
+        """Begin without frames."""
         self._lock = threading.Lock()
         self._images: OrderedDict[bytes, datetime] = OrderedDict()
         self._positions: deque[tuple[datetime, float, float]] | None = None
@@ -89,7 +89,7 @@ class FrozenFrames:
         self._alarm = FrozenAlarm(self.camera, self.board)
 
     def remember(self, frame: Frame) -> None:
-        """Take note of a frame that may never be searched for the sun; a later one with its image is a copy.
+        """Remember a frame that may never be searched for the sun; a later frame with its image is a copy.
 
         Called by capture for every frame: probes, normal exposures and discarded cycles are images that a camera can
         deliver again too.
@@ -183,7 +183,7 @@ _NOT_STORED = "sightings_not_stored"
 
 @dataclass(eq=False)
 class SightingWriteBuffer:
-    """Stores sightings in the order they come, and those that could not be stored when it is possible again.
+    """Buffer of sightings that are stored in order, and again later where storing failed.
 
     Parameters
     ----------
@@ -198,7 +198,7 @@ class SightingWriteBuffer:
     capacity: int = _CAPACITY
 
     def __post_init__(self) -> None:
-        """Begin with nothing that waits."""
+        """Begin with no sighting waiting."""
         self._waiting: deque[SunPoint] = deque()
         self._lost = 0
         self._stored = 0
@@ -246,7 +246,7 @@ class SightingWriteBuffer:
             self.board.set_condition(_NOT_STORED, None)
 
     def give_up(self) -> None:
-        """Log how many sightings are lost with the end of the process."""
+        """Log how many sightings are lost as the process ends."""
         if self._waiting:
             _log.error("%d sightings could not be stored and are lost", len(self._waiting))
 
@@ -264,7 +264,7 @@ class _FrameResult(NamedTuple):
 
 @dataclass(eq=False)
 class DetectWorker:
-    """Detects the sun in each frame of the queue, and stores the sighting, accepted or not.
+    """Worker that detects the sun in each queued frame, and stores the sighting, accepted or rejected.
 
     Parameters
     ----------
@@ -295,7 +295,7 @@ class DetectWorker:
     checked: Callable[[Detection, datetime], Detection] = lambda found, _time: found
 
     def __post_init__(self) -> None:
-        """Begin without a bracket."""
+        """Begin without an exposure bracket."""
         self._bracket_of = timedelta(seconds=0.5 * self.cadence_s)
         self._bracket: list[_FrameResult] = []
         self._faults = TransferFaults(self.board)
@@ -310,7 +310,7 @@ class DetectWorker:
         self.keeper.give_up()
 
     def process(self, frame: Frame) -> Detection:
-        """Detect, store and report one frame."""
+        """Detect the sun in one frame, store the sighting and report it."""
         expectation = self.predictor.expectation(frame.time)
         detection = detect_sun(
             frame.image,

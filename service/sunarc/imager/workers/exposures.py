@@ -27,7 +27,7 @@ _COMPARABLE_S = 5.0  # frames further apart may show another sky
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExposureSequence:
-    """Takes exposures until a moment, so that the next slot finds the camera free.
+    """Exposures taken until a deadline, so that the next slot finds the camera free.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ def _find_contradiction(references: Sequence[Frame], frame: Frame) -> str | None
 
 
 def contradiction(first: Frame, second: Frame) -> str | None:
-    """Return how two frames contradict their stated exposures; None too where they are too far apart to tell."""
+    """Return how two frames contradict their stated exposures; None where they agree or are too far apart in time."""
     if abs((second.time - first.time).total_seconds()) > _COMPARABLE_S or first.image.shape != second.image.shape:
         return None
     return light_ratio_contradiction(_make_exposed(first), _make_exposed(second))
@@ -167,7 +167,7 @@ SPOILED_AFTER = 20
 
 @dataclass(eq=False)
 class SunExposures:
-    """Passes detections to the exposure control and its exposures to capture.
+    """Link of the exposure control with detections and capture.
 
     Parameters
     ----------
@@ -213,7 +213,7 @@ class SunExposures:
             return self._state.exposures_us
 
     def report(self, frame: Frame, detection: Detection) -> None:
-        """Take the result of a sun exposure; one that is too bright to be accepted still shortens the next."""
+        """Record the result of a sun exposure; one that is too bright to be accepted still shortens the next."""
         with self._lock:
             self._reported += 1
             burnt = not detection.accepted and _is_burnt(frame)

@@ -48,7 +48,7 @@ class _OwnAndHub(NamedTuple):
 
 @dataclass(kw_only=True, eq=False)
 class FeedComparison:
-    """Compares the last 32 days, those of the newest sightings, and by turns 32 older ones: at a start, once a night.
+    """Nightly comparison with the hub: the last 32 days, those of the newest sightings, and 32 older days in turn.
 
     What differs is queued again, and compared once more when it was sent. The hub removes nothing on account of it.
 
@@ -66,7 +66,7 @@ class FeedComparison:
     board: StatusRegistry
 
     def __post_init__(self) -> None:
-        """Begin with the night that is now."""
+        """Begin with the present night."""
         self.compared_at: datetime | None = None
         self._night: int | None = None
         self._windows: deque[tuple[date, date]] = deque()
@@ -181,7 +181,7 @@ class FeedComparison:
         self.camera.add_event(found, time=self.clock.now(), severity=severity)
 
     def _skip(self, reason: str) -> None:
-        """Compare nothing until the next night, and say so once."""
+        """Compare nothing until the next night, and write an event once."""
         self._windows.clear()
         if reason != self._skipped:
             self._say(Finding("hub_not_compared", {"reason": reason}), "info")
@@ -208,7 +208,7 @@ _UNREACHABLE, _REFUSED, _INVALID = "hub_unreachable", "hub_refuses", "hub_answer
 
 @dataclass(kw_only=True, eq=False)
 class FeedWorker:
-    """Sends the rows of the outbox, and forgets them when the hub has them.
+    """Worker that sends the rows of the outbox to the hub, and removes those that the hub has stored.
 
     Parameters
     ----------
@@ -292,7 +292,7 @@ class FeedWorker:
         return bool(rows) or self._comparison.queue_differing(heartbeat)
 
     def _agree(self, heartbeat: Callable[[], None]) -> None:
-        """Ask the hub where it stands, and go on from there.
+        """Ask the hub up to which row it has stored, and continue from there.
 
         Until it has answered no number counts as sent: a database that was put back to an earlier copy knows of less
         than the hub has, however long the hub is away.
@@ -358,7 +358,7 @@ class FeedWorker:
         return committed
 
     def _follow(self, position: OutboxPosition, committed: int, heartbeat: Callable[[], None]) -> None:
-        """Forget the rows that the hub has, or find out where it stands where it stands no more at `position`."""
+        """Remove the rows that the hub has stored, or ask where it stands if that is not after `position`."""
         if committed > position.committed:
             self._acknowledge(committed)
             return

@@ -55,12 +55,12 @@ class HttpAnswer:
 
 
 def request_target(url: urllib.parse.SplitResult) -> str:
-    """Return the path and query of an address, as a request has them."""
+    """Return the path and query of an address, as a request line has them."""
     return (url.path or "/") + (f"?{url.query}" if url.query else "")
 
 
 class Trust:
-    """The certificates that a client of TLS trusts, the system's and a file's; read anew where either has changed.
+    """Certificates that a TLS client trusts, the system's and a file's; read again where either has changed.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ class Trust:
         self._context = self._new_context()
 
     def context(self) -> ssl.SSLContext:
-        """Return the context of now; where a changed file cannot be read, the one before."""
+        """Return the present TLS context; where a changed file cannot be read, the former one."""
         stamps = self._present_stamps()
         if stamps != self._stamps:
             self._stamps = stamps
@@ -108,7 +108,7 @@ def _stamp(file: Path) -> tuple[int, int, int] | None:
 
 
 class UnfinishedError(Exception):
-    """An exchange began, and did not end: it was cut off, took longer than it may, or the answer is no HTTP."""
+    """Error of an exchange that began and did not end: cut off, too slow, or no HTTP."""
 
 
 @contextmanager
@@ -129,7 +129,7 @@ def exchange_errors() -> Iterator[None]:
 
 @dataclass(eq=False)
 class Limit:
-    """The time that an exchange may take, and the heartbeat meanwhile.
+    """Time limit of an exchange, and the heartbeat meanwhile.
 
     Parameters
     ----------
@@ -144,11 +144,11 @@ class Limit:
     heartbeat: Callable[[], None]
 
     def __post_init__(self) -> None:
-        """Count from now on."""
+        """Start the time limit."""
         self._until_s = self.monotonic() + self.within_s
 
     def left_s(self) -> float:
-        """Beat, and return the seconds that are left; TimeoutError at the end."""
+        """Call the heartbeat, and return the seconds left; TimeoutError at the end."""
         self.heartbeat()
         left_s = self._until_s - self.monotonic()
         if left_s <= 0.0:
@@ -280,7 +280,7 @@ _CONTROL = re.compile(r"[\x00-\x08\x0a-\x1f\x7f]")
 
 
 class Challenge(NamedTuple):
-    """A way to log in that a server offers: its scheme and the names of its parameters in lower case."""
+    """Authentication scheme that a server offers, and its parameters by names in lower case."""
 
     scheme: str
     parameters: Mapping[str, str]
@@ -312,7 +312,7 @@ def offers(challenges: Sequence[Challenge]) -> str:
 
 
 def authorization(login: tuple[str, str], challenges: Sequence[Challenge], *, method: str, uri: str) -> str | None:
-    """Return the Authorization that answers challenges, or None where none of them can be answered.
+    """Return the Authorization header that answers challenges, or None where none can be answered.
 
     The first Digest challenge of a known algorithm is answered. The password is sent by Basic only where no Digest is
     offered. A server that refuses without naming a scheme gets Basic.

@@ -54,11 +54,11 @@ class HubRefusal(Exception):  # noqa: N818 - an answer, and no fault
 
 
 class HubUnfinishedError(OutsideError):
-    """The hub was reached, and not all was sent, stored and answered in time: fewer rows may be."""
+    """Error of an exchange with the hub that did not end in time; fewer rows may fit."""
 
 
 class HubAnswerError(OutsideError):
-    """The answer cannot be a hub's: a proxy gave it, or a hub that is at fault."""
+    """Error of an answer that cannot be a hub's: from a proxy, or a faulty hub."""
 
 
 _STORED_DAYS = TypeAdapter(StoredDays)

@@ -43,14 +43,14 @@ def sun_moved(earlier: datetime, later: datetime, site: Site) -> bool:
 
 
 class Repetition(NamedTuple):
-    """When the same image came before, and whether no live camera gives it twice."""
+    """Time at which the same image came before, and whether a live camera cannot have sent it twice."""
 
     time: datetime
     is_sure: bool
 
 
 class RepeatedImages:
-    """Finds images that came before, whatever text changes in them.
+    """Search for images that came before, also where text in them has changed.
 
     An image with a sun repeats an earlier one where all around the sun is the same: the sun moved. It is sure that the
     camera stands still where the image has noise, in itself or by the earlier ones; or, after a time, where the images
@@ -70,7 +70,7 @@ class RepeatedImages:
         self._suns: deque[tuple[datetime, float, float]] = deque(maxlen=_MOST_SUNS)
 
     def remember_sun(self, time: datetime, sun: tuple[float, float]) -> None:
-        """Take note of where the sun was in a new image, x and y px."""
+        """Store the place of the sun in a new image, x and y px."""
         if not self._suns or time - self._suns[-1][0] >= _SUN_EVERY:
             self._suns.append((time, *sun))
 
@@ -106,7 +106,7 @@ class RepeatedImages:
         return Repetition(before, is_sure=noisy or (apart >= _GLARE_CHANGES and self._had_come(before, sun)))
 
     def _had_come(self, time: datetime, sun: tuple[float, float]) -> bool:
-        """Return whether the images of the hour before a time showed the sun move to where it is in that image."""
+        """Return whether the sun's places of the hour before a time led to its place in that image."""
         track = [(-(time - at).total_seconds(), x, y) for at, x, y in self._suns if time - _TRACK <= at < time]
         if len(track) < _FEWEST_SUNS:
             return False
@@ -119,7 +119,7 @@ class RepeatedImages:
         return moved_px >= max(_LEAST_MOVED_PX, _OFF_SIGMAS * sigma_px) and off_px <= _OFF_PX + _OFF_SIGMAS * sigma_px
 
     def _learn(self, now: ImageTiles, before: ImageTiles) -> None:
-        """Count pairs of images that have nothing in common, for their noise: changing light may be another cause."""
+        """Learn the noise from images that have nothing in common; changing light may be another cause."""
         shared = shared_texture(now, before)
         if shared is None:
             return
@@ -130,7 +130,7 @@ class RepeatedImages:
 
 
 class FrozenAlarm:
-    """Reports a camera that repeats its images, after three in a row.
+    """Condition of a camera that repeats its images, set after three in a row.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ class FrozenAlarm:
         self._in_a_row = 0
 
     def note(self, time: datetime, earlier: datetime) -> None:
-        """Take note of an image that repeats an earlier one."""
+        """Count an image that repeats an earlier one."""
         self._in_a_row += 1
         if self._in_a_row < _LASTING:
             return
@@ -156,7 +156,7 @@ class FrozenAlarm:
                 _log.warning("could not store an event: %s", error)
 
     def clear(self) -> None:
-        """Take note of a new image."""
+        """Begin anew after a new image."""
         self._in_a_row = 0
         self._board.set_condition(_FROZEN_CODE, None)
 
@@ -165,7 +165,7 @@ _TRANSFER_CODES = ("image_rows_repeated", "image_levels_missing")
 
 
 class TransferFaults:
-    """Reports a camera whose images have lost rows or bits, after three in a row.
+    """Condition of a camera whose images have lost rows or bits, set after three in a row.
 
     Parameters
     ----------
@@ -177,7 +177,7 @@ class TransferFaults:
         self._in_a_row = 0
 
     def note(self, image: Image) -> None:
-        """Take note of an image."""
+        """Check an image, and count it."""
         rows = repeated_rows(image)
         levels = 0 if rows else count_missing_levels(image)
         found = Finding("image_rows_repeated", {"n": rows}) if rows else Finding("image_levels_missing", {"n": levels})

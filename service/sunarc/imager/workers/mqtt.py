@@ -40,7 +40,7 @@ _ONLINE, _OFFLINE = "online", "offline"
 
 @dataclass(eq=False)
 class MqttBroker:
-    """A broker that gets notices, at least once each, and keeps every camera's state.
+    """MQTT broker that gets notices, at least once each, and keeps every camera's state.
 
     The connection is driven by the calls: there is no thread but the worker's. After it was lost a new one begins
     with the states, since a broker may have forgotten what it was to keep.
@@ -188,7 +188,7 @@ class MqttBroker:
             self._turn(client, _TURN_S)
 
     def _turn(self, client: Client, wait_s: float) -> None:
-        """Read and write the pending bytes."""
+        """Read and write the pending bytes of the connection once."""
         code = client.loop(wait_s)
         if code != self._mqtt.MQTT_ERR_SUCCESS:
             refusal = next(filter(None, self._accepted), None)
@@ -206,7 +206,7 @@ def camera_topic(camera: str) -> str:
 
 
 def retained(camera: str, state: CameraState, *, availability: str) -> Iterator[tuple[str, str]]:
-    """Yield topics that the broker is to keep, and their payloads: the device's description and the state.
+    """Yield the topics that the broker retains, and their payloads: the device's description and the state.
 
     Parameters
     ----------

@@ -37,19 +37,19 @@ _FAILING, _REFUSED, _UNUSABLE = "push_failing", "push_refused", "push_unusable"
 
 
 class NoticeRefusedError(Exception):
-    """A receiver refuses a notice for good."""
+    """Error of a notice that a receiver refuses for good."""
 
 
 class Sink(Protocol):
-    """A receiver; a file or an extra that is missing here is a ConfigurationError or InputError of its calls."""
+    """Receiver of notices; calls raise ConfigurationError or InputError where a file or an extra is missing."""
 
     name: str
 
     def probe(self) -> None:
-        """Connect as for a message, and send none; OutsideError where it cannot be reached."""
+        """Connect as for a notice, and send none; OutsideError where it cannot be reached."""
 
     def publish_states(self, heartbeat: Callable[[], None]) -> None:
-        """Publish how the cameras are, where the receiver keeps that; OutsideError where it cannot be reached.
+        """Publish the states of the cameras, where the receiver keeps them; OutsideError where it cannot be reached.
 
         This and `deliver` end after seconds, whatever the receiver does, and call `heartbeat` while they wait.
         """
@@ -158,7 +158,7 @@ OVERFLOW = "push_overflow"
 
 @dataclass(kw_only=True, eq=False)
 class NoticeWorker:
-    """Writes notices of every camera's changes, and keeps their states for receivers that show them.
+    """Worker that writes notices of every camera's changes, and keeps their states for receivers.
 
     Parameters
     ----------
@@ -184,11 +184,11 @@ class NoticeWorker:
         self.latest: Mapping[str, CameraState] = {}
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
-        """Look until stopped."""
+        """Write notices of changes until stopped."""
         Loop(self.clock, stop, heartbeat).every(self.every_s, self.step)
 
     def step(self) -> None:
-        """Look once."""
+        """Write notices of the changes since the last step."""
         if not self._named:
             self.archive.notices.name_sinks(self.sinks)
             self._named = True

@@ -23,7 +23,7 @@ _SUN_EXPOSURE_BELOW_US = 1000.0
 
 @dataclass(kw_only=True, eq=False)
 class ReplayWorker:
-    """Puts the microsecond images of a folder into the queue, in order, and then waits to be stopped.
+    """Worker that queues the sun exposures of a folder in order, and then waits to be stopped.
 
     Parameters
     ----------

@@ -49,7 +49,7 @@ class DiskWorker:
     board: StatusRegistry
 
     def __post_init__(self) -> None:
-        """Look every few seconds, whether that fails or not."""
+        """Set the interval of the checks."""
         self._attempts = Attempts(
             self.clock,
             Pauses(_DISK_EVERY_S, _DISK_EVERY_S),
@@ -196,7 +196,7 @@ hold the file locked for 30 s, and a slow device is `database_slow`."""
 
 @dataclass(kw_only=True, eq=False)
 class StoreRoomWorker:
-    """Checks whether a database can store a row, and shows why not.
+    """Worker that checks whether a database can store a row, and sets a condition where it cannot.
 
     Parameters
     ----------
@@ -216,7 +216,7 @@ class StoreRoomWorker:
     patience_s: float = 5.0
 
     def __post_init__(self) -> None:
-        """Begin as after a write."""
+        """Begin as after a write to the database."""
         self._written, self._written_s = self.archive.last_written(), self.clock.monotonic()
         self._fails = False
 
@@ -239,7 +239,7 @@ class StoreRoomWorker:
         self.board.set_one_condition((_STORE_FULL, _STORE_FAILED), failure)
 
     def _was_written(self) -> bool:
-        """Return whether something was stored of late, by whomever."""
+        """Return whether anything was stored lately, by whomever."""
         written, now_s = self.archive.last_written(), self.clock.monotonic()
         if written != self._written:
             self._written, self._written_s = written, now_s
@@ -255,7 +255,7 @@ _MOST_WAITING = 1000
 
 @dataclass(kw_only=True, eq=False)
 class HousekeepingWorker:
-    """Reads disk space and temperature off the status, and stores them by hour and by day.
+    """Worker that reads disk space and temperature from the status board, and stores them by hour and by day.
 
     Parameters
     ----------
@@ -284,7 +284,7 @@ class HousekeepingWorker:
         self.store()
 
     def step(self) -> None:
-        """Sample once, and store when it is time."""
+        """Take one sample, and store the sums when an hour has ended."""
         now = self.now()
         if now is not None:
             self._sample(now)
@@ -315,7 +315,7 @@ class HousekeepingWorker:
             del self._waiting[min(self._waiting)]
 
     def store(self) -> None:
-        """Store the waiting sums; where that fails they wait on."""
+        """Store the waiting sums; where that fails they are kept for the next time."""
         self._stored_s = self.clock.monotonic()
         age_from = self.age_from()
         try:
@@ -341,7 +341,7 @@ SETTLED_S = 900.0
 
 @dataclass(kw_only=True, eq=False)
 class ConditionTimesWorker:
-    """Stores since when conditions hold, and hands the status the stored times at the start.
+    """Worker that stores since when conditions hold, and restores these times at the start.
 
     Parameters
     ----------
@@ -359,18 +359,18 @@ class ConditionTimesWorker:
     passing: Collection[str] = ()
 
     def __post_init__(self) -> None:
-        """Hand the status the stored times."""
+        """Give the status board the stored times."""
         self._settled_s = self.clock.monotonic() + SETTLED_S
         self._failed = False
         self._stored: Mapping[str, datetime] | None = None
         self._resume()
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
-        """Look until stopped."""
+        """Store changed conditions until stopped."""
         Loop(self.clock, stop, heartbeat).every(_LOOK_EVERY_S, self.step)
 
     def step(self) -> None:
-        """Look once, and store the changes; where that fails it is tried again at the next look."""
+        """Store the changed conditions once; a failure is tried again at the next step."""
         if self._stored is None:
             self._resume()
         if self._stored is None:

@@ -266,7 +266,7 @@ def _first_line(error: DBAPIError) -> str:
 
 
 class SnapshotVersion:
-    """A connection of its own that returns whether anything was committed, by anyone, since it was last asked.
+    """Connection of its own that shows whether anyone has committed anything since it was last asked.
 
     Parameters
     ----------
@@ -281,7 +281,7 @@ class SnapshotVersion:
         self._count = 0
 
     def count(self) -> int:
-        """Return a number that is another one after any commit; one round trip to the server."""
+        """Return a number that changes with every commit to the database; costs one round trip to the server."""
         with self._lock, server_errors(self._engine):
             snapshot = self._read_current_snapshot()
             if snapshot != self._snapshot:

@@ -288,7 +288,7 @@ def _copy_readable_rows(connection: sqlite3.Connection, partial: Path, *, emptie
 
 
 def _restart_from_copy(path: Path, partial: Path) -> Recovery:
-    """Copy the newest sound copy of the folder `backups`; without one, leave the database to be made."""
+    """Put the newest sound copy of the folder `backups` in place; without one, the database is created anew."""
     copy = newest_sound_copy(path.parent / "backups")
     if copy is None:
         return Recovery(kind="new", text="begun anew, for there was no copy")

@@ -109,7 +109,7 @@ class Database:
         self.engine.dispose()
 
     def revision(self) -> int:
-        """Return a number that is another one after anything was written, by whomever; takes microseconds."""
+        """Return a number that changes with every write to the database, whoever wrote; takes microseconds."""
         self._usable.wait(_REBUILT_WITHIN_S)
         return self._changes.count()
 
@@ -181,7 +181,7 @@ class Database:
         return {str(name): int(n) for name, n in rows if name is not None}
 
     def last_written(self) -> int | None:
-        """Return a number that is another one after a write to the file's log succeeded; None where there is no log."""
+        """Return a number that changes when a write to the file's log succeeds; None where there is no log."""
         if self.file is None:
             return None
         try:
@@ -242,7 +242,7 @@ class Database:
         return _TRIED_BYTES
 
     def _try_to_store(self) -> None:
-        """Store so many bytes, and take them back."""
+        """Store a row of so many bytes, and roll it back."""
         count, time = self._trial_bytes, self._tried_at
         if self.file is not None and count:
             self._try_to_allocate(self.file.path, count)
@@ -269,7 +269,7 @@ class Database:
 
 
 class Part:
-    """A part of the archive: values in, values out.
+    """Base of the stores of the archive, whose methods take and return values.
 
     Parameters
     ----------
@@ -341,7 +341,7 @@ class Changes:
         self._opened = 0
 
     def count(self) -> int:
-        """Return a number that is another one after any commit, of this process or another."""
+        """Return a number that changes with every commit, of this process or another."""
         with self._lock, connections.outside_errors(self.engine):
             if self._connection is None:
                 try:

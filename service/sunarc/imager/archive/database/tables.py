@@ -45,7 +45,7 @@ class UtcTime(sa.TypeDecorator[datetime]):
 
 
 class Number(sa.TypeDecorator[float]):
-    """A number; a text that stands in its place is None, and so is NaN: SQLite stores it as NULL."""
+    """Column of numbers; a text in place of a number is read as None, and NaN as well, which SQLite stores as NULL."""
 
     impl = sa.Float
     cache_ok = True
@@ -60,7 +60,7 @@ class Number(sa.TypeDecorator[float]):
 
 
 class Count(sa.TypeDecorator[int]):
-    """A whole number; another value counts as None."""
+    """Column of whole numbers; another stored value is read as None."""
 
     impl = sa.Integer
     cache_ok = True
@@ -71,7 +71,7 @@ class Count(sa.TypeDecorator[int]):
 
 
 class CalendarDate(sa.TypeDecorator[date]):
-    """A date, as SQLAlchemy's `Date` stores it: ISO 8601 text in SQLite."""
+    """Column of dates, stored as SQLAlchemy's `Date` does: ISO 8601 text in SQLite."""
 
     impl = sa.Date
     cache_ok = True
@@ -82,7 +82,7 @@ class CalendarDate(sa.TypeDecorator[date]):
 
 
 class Word(sa.TypeDecorator[str]):
-    """One word of a few; another one is None."""
+    """Column of one word of a few; another stored value is read as None."""
 
     impl = sa.Text
     cache_ok = True
@@ -97,7 +97,7 @@ class Word(sa.TypeDecorator[str]):
 
 
 class FindingTuple(sa.TypeDecorator[tuple[Finding, ...]]):
-    """Findings, as a JSON list of objects; sentences of version 0.2 become findings without a code."""
+    """Column of findings, stored as a JSON list of objects; sentences of version 0.2 become findings without a code."""
 
     impl = sa.JSON
     cache_ok = True
@@ -133,7 +133,7 @@ def parse_finding_text(text: Any | None) -> tuple[Finding, ...]:  # noqa: ANN401
 
 
 class NumberTuple(sa.TypeDecorator[tuple[float, ...]]):
-    """So many numbers, as a JSON list; None without them."""
+    """Column of a fixed number of numbers, stored as a JSON list; None without them."""
 
     impl = sa.JSON(none_as_null=True)
     cache_ok = True
@@ -154,7 +154,7 @@ class NumberTuple(sa.TypeDecorator[tuple[float, ...]]):
 
 
 class JsonOf(sa.TypeDecorator[Any]):
-    """A value of a type, as JSON; None where the stored value is not one, as with a field that is missing.
+    """Column of values of one type, stored as JSON; None where the stored JSON does not hold such a value.
 
     Parameters
     ----------
@@ -190,7 +190,7 @@ class JsonOf(sa.TypeDecorator[Any]):
 
 
 class JsonObject(sa.TypeDecorator[dict[str, Any]]):
-    """A JSON object; empty where it cannot be read."""
+    """Column of JSON objects; empty where the stored value cannot be read."""
 
     impl = sa.JSON
     cache_ok = True

@@ -163,7 +163,7 @@ class TokenBuckets:
         return 0.0 if enough else (1.0 - tokens) / self._per_s
 
     def give_back(self, client: str, price: float, *, now_s: float) -> None:
-        """Put back a token that was taken for nothing."""
+        """Return a token to a client's bucket."""
         self._buckets[client] = (min(self._burst, self._fill_bucket(client, now_s) + price), now_s)
 
     def _fill_bucket(self, client: str, now_s: float) -> float:
@@ -214,7 +214,7 @@ class RateLimit(HttpMiddleware):
 
     @staticmethod
     def _refund_price(allowances: TokenBuckets, client: str, price: float, send: Send) -> Send:
-        """Give the price back where the token was not needed: a proxy's own, or a page's where reading is open."""
+        """Return the price to the client where no token was needed: a proxy's own request, or open reading."""
 
         async def sending(message: Message) -> None:
             if message["type"] == "http.response.start" and message["status"] != HTTPStatus.UNAUTHORIZED:
@@ -227,7 +227,7 @@ class RateLimit(HttpMiddleware):
 def too_many(
     problem: str, scope: Scope, status: HTTPStatus = HTTPStatus.TOO_MANY_REQUESTS, *, wait_s: float = 1.0
 ) -> ASGIApp:
-    """Return the refusal of a request beyond the limit, with the seconds to wait."""
+    """Return the refusal of a request beyond a limit, with the seconds to wait."""
     seconds = math.ceil(wait_s)
     remedy = f"wait {seconds} s and try again, with more pixels per request where there are many"
     fault = Fault(field="request", problem=problem, remedy=remedy)

@@ -49,7 +49,7 @@ def bound_connections(config: uvicorn.Config, options: ApiOptions) -> uvicorn.Co
 
 
 class BoundedConnection(asyncio.Protocol):
-    """One connection; where there are too many, the one that was idle longest makes room.
+    """Connection with limits; where there are too many, the one that was idle longest is closed.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ class BoundedConnection(asyncio.Protocol):
         self.idle_since_s = self._loop.time()
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Make room, and begin to wait for a head."""
+        """Register the connection, and start the timer for a request's head."""
         self._transport = cast("asyncio.Transport", transport)
         self._http.connection_made(cast("asyncio.Transport", _ProblemTransport(self._transport)))
         self._connections.add(self)
@@ -86,14 +86,14 @@ class BoundedConnection(asyncio.Protocol):
         self._start_head_timer()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Stop waiting."""
+        """Stop the timers of the connection."""
         self._connections.discard(self)
         self._stop_head_timer()
         self._stop_write_timer()
         self._http.connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
-        """Hand on the bytes that came; on an idle connection they begin a head, whose rest has to come in time."""
+        """Pass received bytes on; on an idle connection they begin a head, whose rest has to arrive in time."""
         before = _connection.set(self)  # the task that answers a request inherits it
         self._http.data_received(data)
         _connection.reset(before)
@@ -101,7 +101,7 @@ class BoundedConnection(asyncio.Protocol):
             self._start_head_timer()
 
     def eof_received(self) -> bool | None:
-        """Hand on that no more comes."""
+        """Pass on that the client sends no more."""
         return self._http.eof_received()
 
     def pause_writing(self) -> None:
@@ -110,23 +110,23 @@ class BoundedConnection(asyncio.Protocol):
         self._watch_reading(self._unread_bytes())
 
     def resume_writing(self) -> None:
-        """Stop watching: it reads."""
+        """Stop the timer: the client reads."""
         self._stop_write_timer()
         self._http.resume_writing()
 
     def begin(self) -> None:
-        """Wait no longer for a head: it is there, and its request is being answered."""
+        """Stop the timer of a request's head: the head has arrived, and its request is being answered."""
         self.idle = False
         self._stop_head_timer()
 
     def end(self, *, unread: bool) -> None:
-        """Go idle; a body that nobody reads any more ends with its connection."""
+        """Mark the connection idle after an answer; one with an unread body is closed."""
         self.idle, self.idle_since_s = True, self._loop.time()
         if unread:  # answered before its body had come (a refusal): to read the rest only to drop it serves the sender
             self._transport.close()
 
     def abort(self) -> None:
-        """End the connection at once."""
+        """Close the connection at once."""
         self._transport.abort()
 
     def _watch_reading(self, unread_bytes: int) -> None:

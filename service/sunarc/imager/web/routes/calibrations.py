@@ -114,7 +114,7 @@ def document_tag(record: CalibrationRecord) -> str:
 
 
 class _LastDocument:
-    """The document that was sent last, as text: every client asks for the same one.
+    """Cache of the document that was sent last, as text: every client asks for the same one.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ class _LastDocument:
         self._last: tuple[CalibrationRecord, bytes, str] | None = None
 
     def answer(self, record: CalibrationRecord, if_none_match: str | None) -> Response:
-        """Return a record's document; it is written anew where another record was sent before."""
+        """Return the answer with a record's document, encoded anew where another record was sent before."""
         last = self._last
         if last is None or last[0] is not record:
             text = self._text(record)
@@ -135,7 +135,7 @@ class _LastDocument:
 
 
 def tagged(content: bytes, if_none_match: str | None) -> Response:
-    """Return JSON with a tag of its content; nothing but the tag to a client that has it."""
+    """Return JSON with an ETag of its content; 304 to a client that has it."""
     return _tagged_response(content, make_etag(content), if_none_match)
 
 

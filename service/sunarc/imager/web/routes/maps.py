@@ -86,7 +86,7 @@ def map_routes(context: ApiContext, files: AnswerFiles) -> APIRouter:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Map:
-    """A map that is asked for.
+    """Requested map.
 
     Attributes
     ----------
@@ -260,7 +260,7 @@ _PICTURE = _NOT_MADE | _of_grid(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _AskedTables:
-    """A grid: its kind, size, height and the camera's altitude."""
+    """Requested grid: its kind, size, height and the camera's altitude."""
 
     grid: Grid
     size: int

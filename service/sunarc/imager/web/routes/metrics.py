@@ -65,7 +65,7 @@ class StatusCollector(Collector):
         return iter(())
 
     def collect(self) -> Iterator[Metric]:
-        """Read the board and the archive once."""
+        """Yield the metrics, from one reading of the status board and of the archive."""
         snapshot = self._context.status()
         yield from service_metrics(snapshot)
         yield from _worker_metrics(snapshot)
@@ -115,7 +115,7 @@ def service_metrics(snapshot: StatusSnapshot) -> Iterator[Metric]:
 
 
 def push_metrics(archive: Archive) -> Iterator[Metric]:
-    """Yield how receivers of messages stand; nothing without any."""
+    """Yield the metrics of receivers of messages: waiting and refused messages; nothing without receivers."""
     states = archive.notices.sink_states()
     waiting: Labelled = {(name,): float(state.waiting) for name, state in states.items()}
     yield labelled("sunarc_push_waiting", "Messages that a receiver has not had yet.", ("receiver",), waiting)
@@ -307,7 +307,7 @@ class RequestCounts(Collector):
         self._sum_s += duration_s
 
     def collect(self) -> Iterator[Metric]:
-        """Yield the numbers."""
+        """Yield the metrics of answered requests."""
         requests = CounterMetricFamily("sunarc_http_requests", "Requests that were answered.", labels=("status",))
         for status, n in sorted(self._by_status.copy().items()):
             requests.add_metric((status,), float(n))

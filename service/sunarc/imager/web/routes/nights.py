@@ -136,7 +136,7 @@ def night_routes(context: ApiContext) -> APIRouter:
 
 
 def _make_night_pose(context: ApiContext) -> NightPose | None:
-    """Return how the camera stands at night against the day, as the calibration that is served has it."""
+    """Return the pose of the camera at night against the day, by the calibration that is served."""
     record = context.record_or_none(None)
     night = None if record is None else record.document.get("night")
     return None if record is None or night is None else NightPose.model_validate({**night, "calibration": record.id})

@@ -76,7 +76,7 @@ def day_air_routes(context: ApiContext) -> APIRouter:
 
 
 def air_out(air: DayAir) -> DayAirOut:
-    """Return a day's air as an answer."""
+    """Return a day's measured air in the form of an answer."""
     return DayAirOut(temperature_c=air.temperature_c, pressure_hpa=air.pressure_hpa, set_at=air.set_at)
 
 
@@ -162,7 +162,7 @@ EventId = Annotated[
 
 
 def move_routes(context: ApiContext) -> APIRouter:
-    """Return the routes."""
+    """Return the routes of moves: their acknowledgement and their pictures."""
     routes = APIRouter(tags=["record"])
 
     @routes.post(
@@ -171,7 +171,7 @@ def move_routes(context: ApiContext) -> APIRouter:
         responses=answers(400, 403, 404, 408, 409, 413, 415, 422),
     )
     def acknowledge(request: Request, event_id: EventId, decision: Acknowledgement | None = None) -> Event:
-        """Acknowledge a move or a change of lens or camera: it stays on top no longer."""
+        """Acknowledge a move, or a change of lens or camera, so that it is no longer shown as open."""
         selected = context.of(request)
         reason = (decision or Acknowledgement()).reason
         return selected.archive.events.acknowledge(selected.camera, event_id, at=selected.frame_clock(), reason=reason)
@@ -228,7 +228,7 @@ def draw_horizon(pixels: NDArray[np.uint8], camera: Camera) -> None:
 
 
 def days_out(context: ApiContext, days: Sequence[Day]) -> list[DayWithAir]:
-    """Return days, with their measured air where there is one, as an answer."""
+    """Return days, with their measured air, in the form of an answer."""
     if not days:
         return []
     dates = [day.date for day in days]
@@ -312,13 +312,13 @@ class StreamMessage(NamedTuple):
 
     @property
     def text(self) -> str:
-        """Return it as the stream has it."""
+        """Return the message as text of the stream."""
         data = json.dumps(self.data, separators=(",", ":"))
         return f"event: {self.kind}\nid: {self.id}\ndata: {data}\n\n"
 
 
 class Position(NamedTuple):
-    """Position of a client: the newest event's number and the current calibration; an empty one without them."""
+    """Position of a client in the stream: the newest event's number and the current calibration; empty without them."""
 
     event: int
     calibration: str

@@ -39,7 +39,7 @@ RANGED: Responses = {206: {"description": "The part that Range asks for."}}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tagged:
-    """A request for content that has a tag.
+    """Request for content that has an ETag.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class ResponseBody:
 
 
 class AnswerFiles:
-    """Files of the answers that were made lately, and their readers. Used on the event loop alone.
+    """Files of recent answers, and their readers. Used on the event loop alone.
 
     A file has no name: it ends with the service, or when its last reader has it.
 

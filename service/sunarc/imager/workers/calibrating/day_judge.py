@@ -48,7 +48,7 @@ class LearnedCadence:
         self._learned: tuple[datetime, float] | None = None
 
     def at(self, time: datetime) -> float:
-        """Return it for a moment; asked of the archive at most once an hour."""
+        """Return the cadence at a time, s; the archive is asked at most once an hour."""
         if self._stated_s is not None:
             return self._stated_s
         if self._learned is None or abs(time - self._learned[0]) >= timedelta(hours=1):
@@ -126,15 +126,15 @@ class DayJudge:
         return verdicts
 
     def judge_again(self, day: date) -> None:
-        """Judge a day once more where it is judged already: sightings of it came late."""
+        """Judge a day again where it has a verdict: sightings of it came late."""
         self._again.add(day)
 
     def look_back(self) -> None:
-        """Have every day looked for that is not judged: sightings of earlier ones came."""
+        """Have all earlier days without a verdict judged: sightings of them have arrived."""
         self._looks_back = True
 
     def _stands(self, day: Day) -> bool:
-        """Return whether a verdict was given after its day had ended and before now: else a wrong clock gave it."""
+        """Return whether a verdict still holds: given after its day had ended and before now, by a right clock."""
         end = utc_time(day_bounds_unix_s(day.date, longitude=self.camera.site.longitude)[1])
         return end <= day.decided_at <= self.now()
 
@@ -182,7 +182,7 @@ class DayJudge:
         )
 
     def _pose_offset(self, columns: SunPointColumns) -> DailyRotations | None:
-        """Return how the camera stood turned against the current calibration, where that is of the day's last epoch."""
+        """Return a day's rotation against the current calibration, where that is of the day's last pose epoch."""
         current = self.camera.archive.calibrations.current(self.camera.name)
         if current is None or not columns.epoch_ids or current.pose_epoch != columns.epoch_ids[-1]:
             return None

@@ -49,12 +49,12 @@ class MoveConditions:
     newest_picture: Callable[[], Path | None] = lambda: None
 
     def __post_init__(self) -> None:
-        """Begin without a look."""
+        """Begin without having read the archive."""
         self._revision: int | None = None
         self.waiting: tuple[Event, ...] = ()
 
     def follow(self) -> None:
-        """Set and clear the conditions again where anything was written to the archive."""
+        """Set and clear the conditions where anything was written to the archive."""
         try:
             revision = self.camera.archive.revision()
             if revision != self._revision:
@@ -107,7 +107,7 @@ class MoveConditions:
         return move_condition(code + _FITTED, event) if event.to_acknowledge else None
 
     def _pose_since(self, earliest: datetime | None) -> _Pose:
-        """Return how the present pose stands; nothing is read where no move is `earliest`."""
+        """Return the state of the present pose; nothing is read where `earliest` is None."""
         if earliest is None:
             return _Pose(None, _NO_POSE, frozenset())
         archive, name = self.camera.archive, self.camera.name

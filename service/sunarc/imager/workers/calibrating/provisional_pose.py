@@ -32,7 +32,7 @@ from sunarc.sources.files import read_file
 
 
 class FirstPose(NamedTuple):
-    """A type of lens, and the prior of the pose."""
+    """Type of lens, and prior of the pose."""
 
     lens: LensType
     pose: FirstPoseOptions
@@ -115,7 +115,7 @@ class ProvisionalPoseEstimator:
         return "yes" if self.first.lens.camera.mirrored else "no"
 
     def improve(self) -> bool:
-        """Estimate the pose again where that is due; return whether the result was activated."""
+        """Estimate the provisional pose again where that is due; return whether the result was activated."""
         now = self.now()
         epoch = self.camera.archive.epochs.current(self.camera.name, at=now + _JITTER)
         current = self.camera.archive.calibrations.current(self.camera.name)
@@ -145,7 +145,7 @@ class ProvisionalPoseEstimator:
         return self.camera.archive.calibrations.activate(record.id, at=epoch.started_at).state == "current"
 
     def _is_answered(self, current: CalibrationRecord, epoch: PoseEpoch) -> bool:
-        """Return whether a full fit knows the pose of an epoch, or a calibration is of a later one."""
+        """Return whether the pose epoch has a full fit, or the current calibration is of a later epoch."""
         if current.pose_epoch == epoch.id and not is_provisional(self.camera.archive.calibrations.model(current.id)):
             return True
         return self._belongs_to_later(current, epoch)

@@ -67,7 +67,7 @@ class _Search:
 
 @dataclass(eq=False)
 class EpochSearch:
-    """Selects the sightings to search, and stores the result.
+    """Search for steps of the pose: selection of its sightings, and storage of its result.
 
     Sightings are searched once: all of them while no calibration was ever served, later those that were imported.
     What the service saw itself under a calibration is the monitor's.
@@ -102,7 +102,7 @@ class EpochSearch:
         )
 
     def _near_new(self) -> SunPointColumns | None:
-        """Return the sightings that are new to the search, or lie within days of such; None where none are."""
+        """Return the sightings not yet searched and those within days of them; None where no sighting is new."""
         now = self.now()
         since = since_lens(self.camera, now)
         searched = max((search.last_id for search in self._searches()), default=0)
@@ -132,7 +132,7 @@ class EpochSearch:
         return None if calibration is None or is_provisional(calibration) else calibration
 
     def keep(self, steps: tuple[PoseChange, ...]) -> None:
-        """Open the epochs that steps begin, with an event each, and remember that the search was made."""
+        """Open the pose epochs that steps begin, with an event each, and store that the search was made."""
         divided: list[str] = []
         for step in steps:
             at = utc_time(step.time)
@@ -148,20 +148,20 @@ class EpochSearch:
         self.camera.add_event(found, time=self.now(), severity="info", details={"divided": sorted(set(divided))})
 
     def unanswered(self, epoch: str) -> bool:
-        """Return whether no calibration of a pose epoch answered since it has its present bounds."""
+        """Return whether no calibration has answered for a pose epoch since its bounds were set."""
         served_at = self.camera.archive.calibrations.last_served(self.camera.name, pose_epoch=epoch)
         now = self.now()
         divided = [search.time for search in self._searches() if epoch in search.divided]
         return served_at is None or any(served_at < time <= now for time in divided)
 
     def _searches(self) -> list[_Search]:
-        """Return the searches that were made; one whose event is damaged says nothing."""
+        """Return the searches that were made; one whose event is damaged is empty."""
         events = self.camera.archive.events.find(self.camera.name, kind=SEARCHED)
         return [_search(event) for event in events]
 
 
 def since_lens(camera: CameraArchive, now: datetime) -> datetime | None:
-    """Return when the lens was last changed before now; None where it never was."""
+    """Return the time of the last change of the lens; None where it never changed."""
     changed = [
         epoch.started_at
         for epoch in camera.archive.epochs.find(camera.name)
@@ -193,7 +193,7 @@ _LIMITS = SelectionOptions()
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RefitTask:
-    """A solve, and the sightings of the archive that it is given.
+    """Fit to be made, and the sightings of the archive that it is given.
 
     Attributes
     ----------
@@ -212,13 +212,13 @@ class RefitTask:
         return self.used.epoch_ids[-1]
 
     def for_epoch(self, epoch: str) -> solver_process.SolveProblem:
-        """Return the same solve, its answer that of another pose epoch."""
+        """Return the same task for another pose epoch."""
         return replace(
             self.problem, points=solver_process.columns_to_sightings(self.used, site=self.problem.site, latest=epoch)
         )
 
     def state_selection(self, solved: Calibration) -> Calibration:
-        """Return a calibration whose evidence states how its sightings were picked."""
+        """Return a calibration whose provenance states how its sightings were selected."""
         counts = {**asdict(_LIMITS), **self.selection.counts()}
         return replace(solved, evidence=replace(solved.evidence, selection=counts))
 
@@ -283,7 +283,7 @@ def _is_tilt_known(camera: CameraArchive) -> bool:
 
 
 def _stars(others: SunPointColumns, epochs: Sequence[str], image_size: tuple[int, int]) -> IntArray:
-    """Return the keys of the surest stars and planets of each part of the image.
+    """Return the keys of the most certain stars and planets of each part of the image.
 
     Of the pose epochs that the sun was seen in; those of the latest epoch first, then of the others.
     """
@@ -307,7 +307,7 @@ _MOST_PAST = 8
 
 @dataclass(eq=False)
 class RefitWorker:
-    """Takes refits from the archive, one at a time, and carries them out.
+    """Worker that carries out the archive's refits, one at a time.
 
     Parameters
     ----------
@@ -366,7 +366,7 @@ class RefitWorker:
                 loop.wait(_POLL_S)
 
     def let_wait(self, waiting: Sequence[Refit]) -> None:
-        """Publish why refits wait, where there are some; those that waited for a day have failed."""
+        """Set the condition of refits that wait; those that have waited for a day fail."""
         self._set_waiting(len(waiting))
         if self._waits_since_s is not None and self.clock.monotonic() - self._waits_since_s > _LONGEST_WAIT_S:
             for refit in waiting:
@@ -382,7 +382,7 @@ class RefitWorker:
         self.board.set_condition("refit_waiting", reason if n else None)
 
     def carry_out(self, refit: Refit, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
-        """Solve, judge, keep, and serve a better fit; leaves the refit unfinished when stopped half-way."""
+        """Fit, judge and store a calibration, and serve it if it is better; left unfinished when stopped half-way."""
         self.camera.archive.refits.start(refit.id, started_at=self.now())
         child = solver_process.ChildControl(self.clock, self.options.time_limit_s, stop, heartbeat)
         self._search_epochs(child)
@@ -415,7 +415,7 @@ class RefitWorker:
         return None if numbers is None else ImageCircle(x=numbers[0], y=numbers[1], radius=numbers[2])
 
     def _search_epochs(self, child: solver_process.ChildControl) -> None:
-        """Open the pose epochs of sightings that no monitoring has processed."""
+        """Open the pose epochs in sightings that no monitoring has compared with a calibration."""
         problem = self._epochs.due()
         if problem is None:
             return
@@ -428,7 +428,7 @@ class RefitWorker:
             self._epochs.keep(steps)
 
     def _answer_for_past(self, task: RefitTask, child: solver_process.ChildControl) -> None:
-        """Serve each earlier pose epoch that nothing answers for: its own pose, and the lens of all sightings."""
+        """Serve earlier pose epochs without a calibration: each with its own pose, and the lens of all sightings."""
         epochs = self.camera.archive.epochs.find(self.camera.name)
         ends = {epoch.id: next_.started_at for epoch, next_ in pairwise(epochs)}
         starts = {epoch.id: epoch.started_at for epoch in epochs}
@@ -465,7 +465,7 @@ class RefitWorker:
         self._integrity.check()
 
     def _pose_spread(self, epoch: PoseEpoch | None) -> tuple[float, float, float]:
-        """Return how the pose wandered on the last days of the epoch that goes on."""
+        """Return the scatter of the pose over the last days of the open epoch."""
         if epoch is None:
             return pose_spread_deg((), ())
         since = solar_date(epoch.started_at.timestamp(), longitude=self.camera.site.longitude) + timedelta(days=1)
@@ -551,7 +551,7 @@ _REFITS_LOOKED_AT = 10
 
 @dataclass(eq=False)
 class CalibrationIntegrityCheck:
-    """Looks whether the current calibration can be read, and the sightings that it rests on are still there.
+    """Check that the current calibration can be read, and that its sightings are still stored.
 
     For a damaged one a refit is asked for at once, in its place.
 

@@ -33,7 +33,7 @@ _STOP_FOLLOWS_S = 1.0
 
 
 class SolveFailedError(Exception):
-    """The solve gave no answer, or took too long.
+    """Error of a fit that gave no answer, or took too long.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class SolveFailedError(Exception):
 
 
 class SolverDiedError(SolveFailedError):
-    """The child process ended without an answer: it was killed, or the machine is short of memory."""
+    """Error of a child process that ended without an answer: it was killed, or memory is short."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -66,7 +66,7 @@ class SolveProblem:
 
 
 class ChildControl(NamedTuple):
-    """Control of a child process: real time, seconds at most, the stop that ends it, the caller's heartbeat."""
+    """Control of a child process: clock, time limit (s), stop event, and the caller's heartbeat."""
 
     clock: Clock
     time_limit_s: float
@@ -75,7 +75,7 @@ class ChildControl(NamedTuple):
 
 
 def solve_in_child(problem: SolveProblem, control: ChildControl) -> Calibration | None:
-    """Solve in a fresh process (spawned, never forked: the camera library has threads).
+    """Return the fit made in a fresh process (spawned, never forked: the camera library has threads).
 
     Returns
     -------

@@ -66,7 +66,7 @@ _MANY_AGREEING = 8
 
 @dataclass(eq=False)
 class WatchWorker:
-    """Compares sightings with the active calibration, and acts on detected changes.
+    """Worker that compares sightings with the active calibration, and acts on changes of the pose.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ class WatchWorker:
         sigma_px: float | None,
         clock_error_s: float | None = None,
     ) -> None:
-        """Take note of a sighting, unless its time is doubtful; never waits."""
+        """Queue a sighting, unless its time is doubtful; never waits."""
         if clock_error_s is None or clock_error_s <= MAX_CLOCK_ERROR_S:
             self._sightings.put(self._observed(time, x_px, y_px, sigma_px))
 
@@ -147,11 +147,11 @@ class WatchWorker:
             self._process_safely(_as_sighting(point, self._observed))
 
     def look_again(self) -> None:
-        """Have the window filled anew: sightings were stored that are older than its last one; never waits."""
+        """Have the window filled again: older sightings than its last were stored; never waits."""
         self._older_came.set()
 
     def process_next(self, *, timeout_s: float = 0.0) -> bool:
-        """Look at the next sighting, if there is one within `timeout_s`; return whether there was."""
+        """Compare the next sighting, if there is one within `timeout_s`; return whether there was."""
         sighting = self._sightings.get(timeout_s=timeout_s)
         if sighting is not None or self._older_came.is_set():
             self._begin_anew_if_outdated()
@@ -182,7 +182,7 @@ class WatchWorker:
         return self.camera.archive.epochs.current(self.camera.name, at=self._latest())
 
     def _is_ahead(self) -> bool:
-        """Return whether the time went back behind the remembered one."""
+        """Return whether the time went back to before the remembered sightings."""
         return bool(len(self._watch)) and float(self._watch.unix_s[-1]) > self._latest().timestamp()
 
     def _epoch_changed(self) -> bool:
@@ -227,7 +227,7 @@ class WatchWorker:
             self._publish_pose()
 
     def _begin(self, sighting: Sighting) -> None:
-        """Estimate the first pose of a camera whose type of lens is known, and publish how far that is."""
+        """Estimate the first pose of a camera with a known type of lens, and publish its progress."""
         self._compare_with_site(sighting)
         if self.reposer.first is None:
             return
@@ -239,7 +239,7 @@ class WatchWorker:
         self.board.set_condition("first_pose_refused", None if refusal is None else _refused_condition(refusal))
 
     def _compare_with_site(self, sighting: Sighting) -> None:
-        """Set or clear the conditions of a sun that goes otherwise than it does over the stated site."""
+        """Set or clear the conditions of a sun whose path contradicts the stated site."""
         while self._first and abs(sighting.unix_s - self._first[0].unix_s) > _FIRST_WITHIN_S:
             self._first.popleft()
         self._first.append(sighting)
@@ -263,7 +263,7 @@ class WatchWorker:
             self.board.set_condition(code, Reason.of(found) if of_code and found is not None else None)
 
     def _act(self, change: PoseChange) -> None:
-        """Report a change, and act on it by its kind."""
+        """Report a change, and open an epoch or wait according to its cause."""
         at = utc_time(change.time)
         moved = change.cause == "bump" or change.cause in LENS_KINDS
         epoch = self._epoch_begun_by(change) if moved else None
@@ -310,7 +310,7 @@ class WatchWorker:
             self._watch = self._watch.since(change.time)
 
     def _is_turn_after_all(self, change: PoseChange | None) -> bool:
-        """Return whether a step of an unwatched clock by a few sightings is a turn by many."""
+        """Return whether a change taken for a clock step by a few sightings is a turn by many."""
         if change is None or self._fault is None or self.host_dates:
             return False
         agreeing = int(change_finding(change).data["agreeing"])

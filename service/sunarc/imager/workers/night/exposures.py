@@ -58,7 +58,7 @@ class NightExposures:
             return NightExposure(rung, self._raised_db)
 
     def report(self, stars: Stars, *, sky_fraction: float) -> None:
-        """Take note of an image: its detections, and the level of its sky over full scale."""
+        """Record an image: its detections, and the level of its sky over full scale."""
         brightest = stars.peak_fraction[:_BRIGHTEST]
         clipped = float(np.mean(brightest > MOST_PEAK)) if brightest.size == _BRIGHTEST else 0.0
         step = 0
@@ -149,7 +149,7 @@ class MoonExposures:
         return float(10.0 ** (-0.4 * (disc.magnitude - _FULL_MOON + lost)) / disc.illuminated_fraction)
 
     def report(self, time: datetime, levels: tuple[tuple[float, float], ...]) -> None:
-        """Take note of a slot's frames.
+        """Record the frames of a slot.
 
         Parameters
         ----------

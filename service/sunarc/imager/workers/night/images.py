@@ -44,7 +44,7 @@ _DAMAGED = (ValueError, KeyError, IndexError, EOFError, OSError, zipfile.BadZipF
 
 
 class FrameNote(NamedTuple):
-    """A frame without its pixels, the bound of its time's error (s), its checksum, and the camera's serial number."""
+    """Frame without its pixels, the bound of its clock error (s), its checksum, and the camera's serial number."""
 
     frame: Frame
     clock_error_s: float
@@ -77,7 +77,7 @@ class KeptMoon(NamedTuple):
 
 
 class KeptImages:
-    """Writes the images of the night to the archive as they are measured, and reads them after a restart.
+    """Store of the night images' measurements, written as they are made and read after a restart.
 
     Parameters
     ----------
@@ -211,7 +211,7 @@ def night_picture(image: Image, time: datetime, n_stars: int) -> NightPicture:
 
 
 def better(present: NightPicture | None, *, n_stars: int) -> bool:
-    """Return whether an image with so many detections is the one to show, rather than the present one."""
+    """Return whether an image with so many detections should replace the present picture of the night."""
     return present is None or n_stars > present.n_stars
 
 

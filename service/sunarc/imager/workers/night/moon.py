@@ -119,7 +119,7 @@ class MoonImages:
         return near
 
     def forget(self) -> int:
-        """Drop the images, and return how many there were."""
+        """Drop the kept images, and return how many there were."""
         count, self._images = len(self._images), []
         return count
 

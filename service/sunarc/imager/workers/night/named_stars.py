@@ -197,7 +197,7 @@ _CLEAR_CLOUDS = 0.25
 
 
 def seen_and_missed(views: Sequence[StarView], matched: Sequence[MatchedView]) -> tuple[FloatArray, FloatArray]:
-    """Return the directions (n, 3) of the named stars of a night, and of the bright ones that clear images miss."""
+    """Return the directions (n, 3) of a night's named stars, and of bright stars not detected in clear images."""
     seen, missed = [np.zeros((0, 3))], [np.zeros((0, 3))]
     for view, found in zip(views, matched, strict=True):
         if not found.matches.accepted:
@@ -236,7 +236,7 @@ def _own_shapes(one: TakenImage) -> Stars:
 
 
 def _light(one: TakenImage, to_v: float = COUNTED_TO_V) -> photometry.StarLight:
-    """Return the light of the named, unclipped stars to a magnitude."""
+    """Return the photometry of the named, unclipped stars down to a magnitude."""
     stars = one.found.stars.select(one.found.matches.detection)
     zenith, _ = angles_from_direction(one.found.directions(one.view))
     magnitude = one.view.sky.magnitude[one.view.sky.find_rows(one.found.names(one.view))]

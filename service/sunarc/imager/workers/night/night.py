@@ -247,7 +247,7 @@ class NightWorker:
                 self.finish(heartbeat)
 
     def resume(self) -> None:
-        """Take up the images of a night without a verdict, as the archive has them; those of one night alone."""
+        """Read the images of a night without a verdict from the archive; those of one night alone."""
         if self._kept is None:
             return
         stars, moons = self._kept.read()
@@ -265,7 +265,7 @@ class NightWorker:
             self._moon.resume(one.note.frame, one.cutouts, clock_error_s=one.note.clock_error_s)
 
     def _is_over(self) -> bool:
-        """Return whether the sun is back, and has been so for longer than a clock that was set for a moment shows."""
+        """Return whether the sun is up, for longer than a clock that was set for a moment would show."""
         if self.apparent_zenith() >= DARK_ZENITH_DEG:
             self._daylight_since = None
             return False
@@ -275,7 +275,7 @@ class NightWorker:
         return now - self._daylight_since >= (_DAYLIGHT if self.trusted() else _DAYLIGHT_DISTRUSTED)
 
     def look_at(self, frame: Frame) -> None:
-        """Detect the stars of a frame, and remember them; not of one that a clock dates that was just set."""
+        """Detect the stars of a frame, and keep them, unless the clock that dates it was just set."""
         if self._is_repeated(frame):
             return
         clock_error_s = self.clock_error_s(frame.time)
@@ -309,7 +309,7 @@ class NightWorker:
             self._kept.keep(kept, since=min(image.time for image in self._images))
 
     def _begin_another(self) -> None:
-        """End a night although the sun did not come back: a polar night, or the first images had a wrong time."""
+        """Begin a new night although the sun was not up between: polar night, or wrong times of the first images."""
         if all(image.clock_error_s > MAX_CLOCK_ERROR_S for image in self._images):
             _log.warning("%d images of the night that no good clock dated are left out", len(self._images))
             self._forget()
@@ -450,7 +450,7 @@ class NightWorker:
     def _without_numbers(
         self, images: Sequence[_StarImage], findings: tuple[Finding, ...], picture_time: datetime | None
     ) -> Night:
-        """Return the verdict on a night whose images say nothing of the sky."""
+        """Return the verdict of a night whose images show nothing of the sky."""
         evening, now = self._evening_date(images[0].time), self.now()
         night = unusable_night(self.camera.name, evening, findings=findings, decided_at=now, n_images=len(images))
         return replace(night, picture_time=picture_time)
