@@ -145,8 +145,8 @@ def to_document(
         "state": state,
         "method": calibration.method,
         "created_at": rfc3339(created_at),
-        "valid_from": _format_time(valid_from),
-        "valid_until": _format_time(valid_until),
+        "valid_from": _time(valid_from),
+        "valid_until": _time(valid_until),
         "pose_epoch": pose_epoch,
         "site": asdict(calibration.site),
         "image": {
@@ -154,18 +154,18 @@ def to_document(
             "height": calibration.camera.height,
             "mirrored": calibration.camera.mirrored,
         },
-        "model": _model_to_json(calibration.camera),
+        "model": _model(calibration.camera),
         "backward_model": {
             "radial": list(calibration.backward.radial),
             "decentering": list(calibration.backward.decentering),
-            "max_error_px": _finite_or_none(calibration.backward.max_error_px),
+            "max_error_px": _number(calibration.backward.max_error_px),
         },
         "pose": calibration.pose._asdict(),
-        "uncertainty": _uncertainty_to_json(calibration),
-        "night": None if calibration.night is None else _to_plain_json(asdict(calibration.night)),
-        "metrics": {f.name: _finite_or_none(getattr(calibration.metrics, f.name)) for f in fields(result.Metrics)},
-        "evidence": {f.name: _to_plain_json(getattr(calibration.evidence, f.name)) for f in fields(result.Provenance)}
-        | {"moves": _moves_to_json(calibration)},
+        "uncertainty": _uncertainty(calibration),
+        "night": None if calibration.night is None else _plain(asdict(calibration.night)),
+        "metrics": {f.name: _number(getattr(calibration.metrics, f.name)) for f in fields(result.Metrics)},
+        "evidence": {f.name: _plain(getattr(calibration.evidence, f.name)) for f in fields(result.Provenance)}
+        | {"moves": _moves(calibration)},
         "verdict": {
             "accepted": calibration.verdict.accepted,
             "marginal": calibration.verdict.marginal,
@@ -188,7 +188,7 @@ def camera_document(document: Mapping[str, Any]) -> Document:
     return {"schema": CAMERA_SCHEMA, **camera, "uncertainty": {"field": displacement, **sky}}
 
 
-def _moves_to_json(calibration: result.Calibration) -> list[Document]:
+def _moves(calibration: result.Calibration) -> list[Document]:
     """Return the moves, with the pose that each of them ended."""
     moves, pose = list[Document](), calibration.camera.rotation_cam_enu
     for move in reversed(calibration.evidence.moves):
@@ -200,34 +200,34 @@ def _moves_to_json(calibration: result.Calibration) -> list[Document]:
     return moves[::-1]
 
 
-def _uncertainty_to_json(calibration: result.Calibration) -> Document:
+def _uncertainty(calibration: result.Calibration) -> Document:
     return {
         "parameters": list(calibration.parameter_names),
         "covariance": calibration.covariance.tolist(),
         "field": field_document(calibration.field, calibration.camera.displacement),
-        "mixture": None if calibration.mixture is None else _mixture_to_json(calibration.mixture),
-        "sky_rms_deg": _finite_or_none(calibration.sky_rms_deg),
-        "sky_rms_without_clock_deg": _finite_or_none(_sky_sigma_without_clock_deg(calibration)),
-        "sky_max_deg": _finite_or_none(calibration.sky_max_deg),
+        "mixture": None if calibration.mixture is None else _mixture_document(calibration.mixture),
+        "sky_rms_deg": _number(calibration.sky_rms_deg),
+        "sky_rms_without_clock_deg": _number(_without_clock_deg(calibration)),
+        "sky_max_deg": _number(calibration.sky_max_deg),
         **({} if calibration.sigma_limit_deg is None else {"sigma_limit_deg": calibration.sigma_limit_deg}),
     }
 
 
-def _sky_sigma_without_clock_deg(calibration: result.Calibration) -> float:
+def _without_clock_deg(calibration: result.Calibration) -> float:
     """Return the 1-sigma over the sky without the clock's error that is stated for all sightings, degrees."""
     without_deg = calibration.sky_rms_without_clock_deg
     return calibration.sky_rms_deg if without_deg is None else without_deg
 
 
-def _mixture_to_json(mixture: result.ErrorMixture) -> Document:
+def _mixture_document(mixture: result.ErrorMixture) -> Document:
     return {
         "shares": mixture.shares.tolist(),
         "pixels_px": np.round(mixture.pixels_px, 1).tolist(),
-        "scales": _round_significant(mixture.scales, digits=4),
+        "scales": _rounded(mixture.scales, digits=4),
     }
 
 
-def _model_to_json(camera: Camera) -> Document:
+def _model(camera: Camera) -> Document:
     return {
         "projection": camera.projection,
         "focal_length_px": list(camera.focal_length_px),
@@ -254,34 +254,34 @@ def field_document(field: Field, displacement: Displacement | None = None) -> Do
         "center_px": list(field.basis.center_px),
         "half_px": list(field.basis.half_px),
         "orders": field.basis.orders.tolist(),
-        "mean": _round_significant(field.basis.fit_coefficients(displacement), digits=10),
-        "cross": _round_significant(field.cross, digits=8),
-        "known": _round_significant(field.known, digits=8),
-        "coupling": _round_significant(field.coupling, digits=8),
+        "mean": _rounded(field.basis.fit_coefficients(displacement), digits=10),
+        "cross": _rounded(field.cross, digits=8),
+        "known": _rounded(field.known, digits=8),
+        "coupling": _rounded(field.coupling, digits=8),
     }
 
 
-def _round_significant(values: FloatArray, *, digits: int) -> list[Any]:
+def _rounded(values: FloatArray, *, digits: int) -> list[Any]:
     """Return nested lists of numbers of some significant digits: a document is read by people, and sent often."""
     if values.ndim > 1:
-        return [_round_significant(part, digits=digits) for part in values]
+        return [_rounded(part, digits=digits) for part in values]
     return [float(f"{value:.{digits}g}") for value in values]
 
 
-def _format_time(time: datetime | None) -> str | None:
+def _time(time: datetime | None) -> str | None:
     return None if time is None else rfc3339(time)
 
 
-def _finite_or_none(value: float | None) -> float | None:
+def _number(value: float | None) -> float | None:
     return value if value is not None and math.isfinite(value) else None
 
 
-def _to_plain_json(value: object) -> object:
+def _plain(value: object) -> object:
     if isinstance(value, float):
-        return _finite_or_none(value)
+        return _number(value)
     if isinstance(value, Mapping):
-        return {str(k): _to_plain_json(v) for k, v in value.items()}
-    return [_to_plain_json(v) for v in value] if isinstance(value, tuple | list) else value
+        return {str(k): _plain(v) for k, v in value.items()}
+    return [_plain(v) for v in value] if isinstance(value, tuple | list) else value
 
 
 def from_document(document: object) -> result.Calibration:
@@ -364,8 +364,8 @@ def _read_camera(read: DocumentReader) -> Camera:
     focal, center = read.numbers("model.focal_length_px", 2), read.numbers("model.principal_point_px", 2)
     rotation, shift = read.numbers("model.rotation_cam_enu", 3), read.numbers("model.translation", 3)
     return Camera(
-        width=_parse_size("image.width", width),
-        height=_parse_size("image.height", height),
+        width=_size("image.width", width),
+        height=_size("image.height", height),
         projection=read.value("model.projection"),
         focal_length_px=(focal[0], focal[1]),
         principal_point_px=(center[0], center[1]),
@@ -379,7 +379,7 @@ def _read_camera(read: DocumentReader) -> Camera:
     )
 
 
-def _parse_size(key: str, value: float) -> int:
+def _size(key: str, value: float) -> int:
     if not (math.isfinite(value) and value >= 1.0):
         raise InputError(field=key, problem=f"{value} is not a size", remedy="give px")
     return int(value)

@@ -37,7 +37,7 @@ def health_routes(context: ApiContext, registry: CollectorRegistry) -> APIRouter
     @routes.get("/v1/status")
     def status() -> schemas.Status:
         """Return the state of the service, its workers, camera, clock and disk, and the current calibration."""
-        return _make_status(context)
+        return _status(context)
 
     @routes.get(
         "/metrics",
@@ -77,7 +77,7 @@ def _not_ready(snapshot: StatusSnapshot, path: str) -> JSONResponse:
     )
 
 
-def _make_status(context: ApiContext) -> schemas.Status:
+def _status(context: ApiContext) -> schemas.Status:
     snapshot = context.status()
     found = context.calibration_or_none(None)
     record = None if found is None else found[0]
@@ -95,19 +95,19 @@ def _make_status(context: ApiContext) -> schemas.Status:
         timezone=context.timezone,
         disk_free_bytes=None if snapshot.disk is None else snapshot.disk.free_bytes,
         calibration=None if record is None else summary(record),
-        pose=None if found is None else _make_pose(found[1].camera),
+        pose=None if found is None else _pose(found[1].camera),
         last_day=days[0] if days else None,
         image_size=None if camera is None else list(camera.image_size),
-        obstructions=_make_obstructions(context),
+        obstructions=_obstructions(context),
     )
 
 
-def _make_obstructions(context: ApiContext) -> schemas.ObstructionsShown | None:
+def _obstructions(context: ApiContext) -> schemas.ObstructionsShown | None:
     learned = None if context.obstructions is None else context.obstructions.learned
     return None if learned is None else schemas.ObstructionsShown(time=learned.time, hidden_share=learned.hidden_share)
 
 
-def _make_pose(camera: Camera) -> schemas.Pose:
+def _pose(camera: Camera) -> schemas.Pose:
     angles = pose_angles(camera.rotation_cam_enu)._asdict()
     return schemas.Pose(text=pose_text(camera), top_azimuth_deg=top_azimuth_deg(camera), **angles)
 
