@@ -28,7 +28,7 @@ def houses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 def forget() -> None:
-    for kept in (messages._houses, messages._load_messages):
+    for kept in (messages._find_houses, messages._load_messages):
         kept.cache_clear()
 
 

@@ -91,5 +91,5 @@ def faults_of_a_second_image() -> int:
 
 
 def test_a_process_keeps_the_memory_of_an_image_for_the_next_one() -> None:
-    with pool._pool(1) as process:
+    with pool._new_pool(1) as process:
         assert process.submit(faults_of_a_second_image).result(timeout=60.0) < 500

@@ -74,7 +74,7 @@ class Cluster:
     def each(self, run: Callable[[Given], Result], given: Sequence[Given]) -> list[Result | None]:
         """Return the result of a function for each of some values; None where it killed three workers."""
         found: dict[int, Result] = {}
-        self._work(run, list(enumerate(given)), found.__setitem__, divided=lambda _: [])
+        self._run_tasks(run, list(enumerate(given)), found.__setitem__, divided=lambda _: [])
         return [found.get(number) for number in range(len(given))]
 
     def look(self, chunks: Sequence[Chunk], done: Done, *, run: Callable[[Chunk], list[Answer]] = look_at) -> None:
@@ -87,11 +87,11 @@ class Cluster:
         """
 
         def divided(task: tuple[Chunk, Chunk]) -> list[tuple[Chunk, Chunk]]:
-            return _divided(task[1], done)
+            return _halve_chunk(task[1], done)
 
-        self._work(run, [(chunk, chunk) for chunk in chunks], done, divided=divided)
+        self._run_tasks(run, [(chunk, chunk) for chunk in chunks], done, divided=divided)
 
-    def _work(
+    def _run_tasks(
         self,
         run: Callable[[Given], Result],
         tasks: Iterable[tuple[Key, Given]],
@@ -102,14 +102,14 @@ class Cluster:
         waiting, suspects, under_way = deque(tasks), deque[tuple[Key, Given]](), dict[Any, tuple[Key, Given]]()
         alone: tuple[Key, Given] | None = None
         while waiting or suspects or under_way:
-            while waiting and len(under_way) < _AHEAD * max(self._threads(), 1):
+            while waiting and len(under_way) < _AHEAD * max(self._count_threads(), 1):
                 task = waiting.popleft()
-                under_way[self._submit(run, task[1])] = task
+                under_way[self._submit_task(run, task[1])] = task
             if not under_way:  # what was on a worker that died has killed it only if it does so alone
                 alone = suspects.popleft()
-                under_way[self._submit(run, alone[1])] = alone
-            for future in self._finished(under_way):
-                outcome, result = _outcome(future)
+                under_way[self._submit_task(run, alone[1])] = alone
+            for future in self._wait_for_finished(under_way):
+                outcome, result = _get_outcome(future)
                 if outcome == "waiting":
                     continue
                 task = under_way.pop(future)
@@ -124,14 +124,14 @@ class Cluster:
             if self.client.status != "running" or any(future.cancelled() for future in under_way):
                 waiting.extendleft(under_way.values())
                 under_way.clear()
-                self._reconnect()
+                self._reconnect_scheduler()
 
-    def _submit(self, run: Callable[[Given], Result], given: Given) -> Any:  # noqa: ANN401 - a future
+    def _submit_task(self, run: Callable[[Given], Result], given: Given) -> Any:  # noqa: ANN401 - a future
         # a key of its own: a chunk that is handed out again must not meet its former fate
         key = f"{getattr(run, '__name__', 'run')}-{os.getpid()}-{self.n_lost}-{next(self._ids)}"
         return self.client.submit(run, given, key=key, pure=False)
 
-    def _threads(self) -> int:
+    def _count_threads(self) -> int:
         """Return how many chunks can be processed at once; 1 while no scheduler answers."""
         try:
             return sum((self.client.nthreads() or {}).values())
@@ -139,7 +139,7 @@ class Cluster:
             logging.getLogger(__name__).debug("counting threads: %s", error)
             return 1
 
-    def _finished(self, under_way: dict[Any, Any]) -> list[Any]:
+    def _wait_for_finished(self, under_way: dict[Any, Any]) -> list[Any]:
         """Return the futures that are done; waits for one of them, at most a second."""
         distributed = extra_module("distributed", extra="archives")
         try:
@@ -149,15 +149,15 @@ class Cluster:
             logging.getLogger(__name__).debug("waiting for workers: %s", error)
         return [future for future in under_way if future.done()]
 
-    def _reconnect(self) -> None:
+    def _reconnect_scheduler(self) -> None:
         self.n_lost += 1
-        _quietly(self.client.close, timeout=0)
+        _close_quietly(self.client.close, timeout=0)
         if self.workers.scheduler is None:
             raise OutsideError("the scheduler of this machine's workers died; call the command again, it goes on")
         deadline = self.clock.monotonic() + _RECONNECT_S
         while True:
             try:
-                self.client = _client(self.workers.scheduler)
+                self.client = _connect_client(self.workers.scheduler)
             except OSError as error:
                 if self.clock.monotonic() > deadline:
                     problem = f"the scheduler at {self.workers.scheduler} did not come back within {_RECONNECT_S:.0f} s"
@@ -191,14 +191,14 @@ class ClusterWhenNeeded:
 
     def each(self, run: Callable[[Given], Result], given: Sequence[Given]) -> list[Result | None]:
         """Return the result of a function for each of some values."""
-        return self._there().each(run, given) if given else []
+        return self._get_cluster().each(run, given) if given else []
 
     def look(self, chunks: Sequence[Chunk], done: Done, *, run: Callable[[Chunk], list[Answer]] = look_at) -> None:
         """Have all chunks processed; `done` is called with each and its answers."""
         if chunks:
-            self._there().look(chunks, done, run=run)
+            self._get_cluster().look(chunks, done, run=run)
 
-    def _there(self) -> Cluster:
+    def _get_cluster(self) -> Cluster:
         if self._cluster is None:
             self._cluster = self._stack.enter_context(self._opening())
             self._opened(self._cluster)
@@ -221,13 +221,13 @@ def open_cluster(workers: Workers, *, clock: Clock) -> Iterator[Cluster]:
     with dask.config.set(settings):
         if workers.scheduler is not None:
             try:
-                cluster = Cluster(workers, clock, _client(workers.scheduler))
+                cluster = Cluster(workers, clock, _connect_client(workers.scheduler))
             except OSError as error:
                 raise OutsideError(f"no Dask scheduler answers at {workers.scheduler}: {error}") from error
             try:
                 yield cluster
             finally:
-                _quietly(cluster.client.close, timeout=5)
+                _close_quietly(cluster.client.close, timeout=5)
             return
         with (
             distributed.LocalCluster(
@@ -243,11 +243,11 @@ def open_cluster(workers: Workers, *, clock: Clock) -> Iterator[Cluster]:
             yield Cluster(workers, clock, client)
 
 
-def _client(address: str) -> Any:  # noqa: ANN401 - of `distributed`
+def _connect_client(address: str) -> Any:  # noqa: ANN401 - of `distributed`
     return extra_module("distributed", extra="archives").Client(address, timeout=5, set_as_default=False)
 
 
-def _outcome(future: Any) -> tuple[str, object]:  # noqa: ANN401 - of `distributed`
+def _get_outcome(future: Any) -> tuple[str, object]:  # noqa: ANN401 - of `distributed`
     """Return the outcome of a future: "done" with its result, "killed" its workers, "lost", or "waiting" again."""
     try:
         return "done", future.result(timeout=_RESULT_S)
@@ -263,7 +263,7 @@ def _outcome(future: Any) -> tuple[str, object]:  # noqa: ANN401 - of `distribut
         raise OutsideError(f"{problem}; is the same version of sunarc installed there?") from error
 
 
-def _divided(chunk: Chunk, done: Done) -> list[tuple[Chunk, Chunk]]:
+def _halve_chunk(chunk: Chunk, done: Done) -> list[tuple[Chunk, Chunk]]:
     """Return the halves of a chunk; of one image none: it is answered."""
     if len(chunk.items) == 1:
         item = chunk.items[0]
@@ -274,7 +274,7 @@ def _divided(chunk: Chunk, done: Done) -> list[tuple[Chunk, Chunk]]:
     return [(part, part) for part in parts]
 
 
-def _quietly(close: Callable[..., object], **arguments: object) -> None:
+def _close_quietly(close: Callable[..., object], **arguments: object) -> None:
     """Close an object that may be broken already."""
     try:
         close(**arguments)

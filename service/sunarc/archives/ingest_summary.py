@@ -100,7 +100,8 @@ def write_contact_sheet(found: Mapping[ArchiveImage, FileSighting], target: Path
     for image, sighting in found.items():
         by_verdict.setdefault(sighting.verdict, []).append(image)
     rows = [
-        _row(verdict, images, found) for verdict, images in sorted(by_verdict.items(), key=lambda one: -len(one[1]))
+        _draw_row(verdict, images, found)
+        for verdict, images in sorted(by_verdict.items(), key=lambda one: -len(one[1]))
     ]
     encoded = cv2.imencode(".png", np.vstack(rows))[1]
     with disk_errors(target):
@@ -108,35 +109,35 @@ def write_contact_sheet(found: Mapping[ArchiveImage, FileSighting], target: Path
         target.write_bytes(encoded.tobytes())
 
 
-def _row(verdict: str, images: Sequence[ArchiveImage], found: Mapping[ArchiveImage, FileSighting]) -> _Picture:
+def _draw_row(verdict: str, images: Sequence[ArchiveImage], found: Mapping[ArchiveImage, FileSighting]) -> _Picture:
     some = np.unique(np.linspace(0, len(images) - 1, _EXAMPLES).astype(int))
-    tiles = [_example(images[index], found[images[index]]) for index in some]
+    tiles = [_draw_example(images[index], found[images[index]]) for index in some]
     row = np.zeros((TITLE_PX + TILE_PX, 2 * TILE_PX * _EXAMPLES, 3), dtype=np.uint8)
-    _write(row, f"{verdict}: {len(images)}", (6, TITLE_PX - 9), scale=0.7)
+    _write_text(row, f"{verdict}: {len(images)}", (6, TITLE_PX - 9), scale=0.7)
     for number, tile in enumerate(tiles):
         row[TITLE_PX:, 2 * TILE_PX * number : 2 * TILE_PX * (number + 1)] = tile
     return row
 
 
-def _example(shown: ArchiveImage, sighting: FileSighting) -> _Picture:
+def _draw_example(shown: ArchiveImage, sighting: FileSighting) -> _Picture:
     """Return one example, (tile, 2 tiles, 3); an image that is gone meanwhile leaves it dark."""
     tile = np.zeros((TILE_PX, 2 * TILE_PX, 3), dtype=np.uint8)
     image = read_one_image(open_source(shown.address), shown.file, shown.number)
     if isinstance(image, Finding):
         return tile
-    small, shrink = _fitted(_colours(image))
+    small, shrink = _fit_to_tile(_convert_to_colours(image))
     if sighting.x_px is not None and sighting.y_px is not None:
         at = round(shrink * sighting.x_px), round(shrink * sighting.y_px)
         colour = ACCEPTED if sighting.accepted else REJECTED
         cv2.drawMarker(small, at, colour, markerType=cv2.MARKER_CROSS, markerSize=18, thickness=1)
-        crop = _crop(image, sighting)
+        crop = _draw_crop(image, sighting)
         tile[: crop.shape[0], TILE_PX : TILE_PX + crop.shape[1]] = crop
     tile[: small.shape[0], : small.shape[1]] = small
-    _write(tile, shown.key[2][-34:], (3, TILE_PX - 5), scale=0.36)
+    _write_text(tile, shown.key[2][-34:], (3, TILE_PX - 5), scale=0.36)
     return tile
 
 
-def _crop(image: Image, sighting: FileSighting) -> _Picture:
+def _draw_crop(image: Image, sighting: FileSighting) -> _Picture:
     """Return the surroundings of a sighting, enlarged, its centre and radius marked."""
     x, y, radius = float(sighting.x_px or 0.0), float(sighting.y_px or 0.0), sighting.radius_px or 0.0
     half = max(round(_CROP_RADII * radius), _LEAST_CROP_PX)
@@ -144,7 +145,7 @@ def _crop(image: Image, sighting: FileSighting) -> _Picture:
     part = image[top : round(y) + half + 1, left : round(x) + half + 1]
     if part.size == 0:
         return np.zeros((1, 1, 3), dtype=np.uint8)
-    enlarged, scale = _fitted(_colours(part))
+    enlarged, scale = _fit_to_tile(_convert_to_colours(part))
     centre = round(scale * (x - left)), round(scale * (y - top))
     colour = ACCEPTED if sighting.accepted else REJECTED
     cv2.drawMarker(enlarged, centre, colour, markerType=cv2.MARKER_CROSS, markerSize=9, thickness=1)
@@ -153,7 +154,7 @@ def _crop(image: Image, sighting: FileSighting) -> _Picture:
     return enlarged
 
 
-def _fitted(picture: _Picture) -> tuple[_Picture, float]:
+def _fit_to_tile(picture: _Picture) -> tuple[_Picture, float]:
     """Return a picture as large as a tile holds, and by how much it was enlarged."""
     scale = TILE_PX / max(picture.shape[:2])
     size = max(1, round(scale * picture.shape[1])), max(1, round(scale * picture.shape[0]))
@@ -161,7 +162,7 @@ def _fitted(picture: _Picture) -> tuple[_Picture, float]:
     return np.ascontiguousarray(cv2.resize(picture, size, interpolation=method), dtype=np.uint8), scale
 
 
-def _colours(image: Image) -> _Picture:
+def _convert_to_colours(image: Image) -> _Picture:
     """Return an image as 8 bit colours, blue first."""
     if image.ndim == 3:
         return (image if image.dtype == np.uint8 else image // 257).astype(np.uint8)
@@ -169,6 +170,6 @@ def _colours(image: Image) -> _Picture:
     return cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR).astype(np.uint8)
 
 
-def _write(picture: _Picture, text: str, at: tuple[int, int], *, scale: float) -> None:
+def _write_text(picture: _Picture, text: str, at: tuple[int, int], *, scale: float) -> None:
     cv2.putText(picture, text, at, cv2.FONT_HERSHEY_SIMPLEX, scale, (0, 0, 0), 3, cv2.LINE_AA)
     cv2.putText(picture, text, at, cv2.FONT_HERSHEY_SIMPLEX, scale, _TEXT, 1, cv2.LINE_AA)

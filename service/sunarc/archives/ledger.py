@@ -133,10 +133,10 @@ class Ledger:
 
     def __init__(self, address: str) -> None:
         self._engine: sa.Engine = sa.create_engine(address)
-        with self._connected() as connection:
+        with self._connect() as connection:
             if self._engine.dialect.name == "sqlite":
                 connection.exec_driver_sql("PRAGMA journal_mode=WAL")
-        with self._connected() as connection:
+        with self._connect() as connection:
             _METADATA.create_all(connection)
 
     def __enter__(self) -> Self:
@@ -146,7 +146,7 @@ class Ledger:
         self._engine.dispose()
 
     @contextmanager
-    def _connected(self) -> Iterator[sa.Connection]:
+    def _connect(self) -> Iterator[sa.Connection]:
         """Connect, for one transaction; raise OutsideError where the database cannot be used, as a damaged one."""
         try:
             with self._engine.begin() as connection:
@@ -160,10 +160,10 @@ class Ledger:
         c = _ANSWER.c
         columns = (c.address, c.file, c.number, c.key, c.stamp, c.content, c.found)
         rows = sa.select(*columns).where(c.camera == camera, c.stage == pass_number)
-        with self._connected() as connection:
+        with self._connect() as connection:
             for row in connection.execution_options(yield_per=_AT_ONCE).execute(rows):
                 try:
-                    known = Known(row.key, _read(json.loads(row.found)), row.stamp, row.content)
+                    known = Known(row.key, _answer_from_json(json.loads(row.found)), row.stamp, row.content)
                 except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
                     continue
                 yield ImageId(row.address, row.file, row.number), known
@@ -176,12 +176,12 @@ class Ledger:
                 **known._asdict(),
                 "camera": camera,
                 "stage": pass_number,
-                "found": json.dumps(_to_json(known.found)),
+                "found": json.dumps(_answer_to_json(known.found)),
             }
             for image, known in answers
         ]
         c = _ANSWER.c
-        with self._connected() as connection:
+        with self._connect() as connection:
             for row in rows:
                 same = (c.camera == camera, c.address == row["address"], c.file == row["file"])
                 connection.execute(sa.delete(_ANSWER).where(*same, c.number == row["number"], c.stage == pass_number))
@@ -194,7 +194,7 @@ class Ledger:
         """Return the mask of a camera that was kept; None where none was, or by another version, or it is damaged."""
         c = _MASK.c
         rows = sa.select(c.rows, c.columns, c.compressed).where(c.camera == camera, c.version == version)
-        with self._connected() as connection:
+        with self._connect() as connection:
             row = connection.execute(rows).first()
         if row is None:
             return None
@@ -212,22 +212,22 @@ class Ledger:
         rows, columns = (None, None) if mask is None else mask.shape
         compressed = None if mask is None else mask.compressed
         row = {"camera": camera, "version": version, "rows": rows, "columns": columns, "compressed": compressed}
-        with self._connected() as connection:
+        with self._connect() as connection:
             connection.execute(sa.delete(_MASK).where(_MASK.c.camera == camera))
             connection.execute(sa.insert(_MASK), [row])
 
     def result(self, name: str, key: str) -> Any:  # noqa: ANN401 - of any type
         """Return the result kept under a name; None without one, or where it was made of something else."""
         rows = sa.select(_RESULT.c.content).where(_RESULT.c.name == content_key(name), _RESULT.c.key == key)
-        with self._connected() as connection:
+        with self._connect() as connection:
             content = connection.scalar(rows)
-        return None if content is None else _unpacked(content)
+        return None if content is None else _unpack_result(content)
 
     def keep_result(self, name: str, key: str, value: object) -> None:
         """Keep a result under a name in place of the former one, with the hash of the values it was made of."""
         # by its hash: a name holds paths, which may be longer than a column
         row = {"name": content_key(name), "key": key, "content": pickle.dumps(value, protocol=5)}
-        with self._connected() as connection:
+        with self._connect() as connection:
             connection.execute(sa.delete(_RESULT).where(_RESULT.c.name == row["name"]))
             connection.execute(sa.insert(_RESULT), [row])
 
@@ -254,20 +254,20 @@ class Ledger:
 
     def count_finished_chunks(self) -> int:
         """Return how many chunks were ever finished."""
-        with self._connected() as connection:
+        with self._connect() as connection:
             return int(connection.scalar(sa.select(sa.func.count()).select_from(_CHUNK)) or 0)
 
 
-def _to_json(found: Detection | NamedStars | Finding) -> dict[str, Any]:
+def _answer_to_json(found: Detection | NamedStars | Finding) -> dict[str, Any]:
     if isinstance(found, Finding):
         return {"refused": found.as_json()}
     if isinstance(found, NamedStars):
         return {"stars": found.rows}
-    fields = {name: _plain(getattr(found, name)) for name in _FIELDS}
+    fields = {name: _plain_value(getattr(found, name)) for name in _FIELDS}
     return {**fields, "findings": [finding.as_json() for finding in found.findings]}
 
 
-def _read(stored: Mapping[str, Any]) -> Detection | NamedStars | Finding:
+def _answer_from_json(stored: Mapping[str, Any]) -> Detection | NamedStars | Finding:
     if "refused" in stored:
         return from_json(stored["refused"])
     if "stars" in stored:
@@ -276,7 +276,7 @@ def _read(stored: Mapping[str, Any]) -> Detection | NamedStars | Finding:
     return Detection(**fields, findings=tuple(from_json(one) for one in stored["findings"]))
 
 
-def _plain(value: Any) -> Any:  # noqa: ANN401 - a field of any type
+def _plain_value(value: Any) -> Any:  # noqa: ANN401 - a field of any type
     """Return a value as JSON has it: numpy's numbers are Python's."""
     return value.item() if hasattr(value, "item") else value
 
@@ -289,28 +289,28 @@ def content_key(value: object) -> str:
     TypeError : a value of another type is in it.
     """
     hashed = hashlib.blake2b(digest_size=12)
-    for part in _parts(value):
+    for part in _hash_parts(value):
         hashed.update(len(part).to_bytes(8, "little") + part)
     return hashed.hexdigest()
 
 
-def _parts(value: Any) -> Iterator[bytes]:  # noqa: ANN401 - of any type
+def _hash_parts(value: Any) -> Iterator[bytes]:  # noqa: ANN401 - of any type
     if isinstance(value, np.ndarray):
         yield f"array {value.dtype.str} {value.shape}".encode()
         yield value.tobytes()
     elif is_dataclass(value):
         yield type(value).__name__.encode()
         for one in fields(value):
-            yield from _parts(getattr(value, one.name))
+            yield from _hash_parts(getattr(value, one.name))
     elif isinstance(value, Mapping):
         yield f"mapping {len(value)}".encode()
         for key, one in sorted(value.items(), key=lambda item: repr(item[0])):
             yield repr(key).encode()
-            yield from _parts(one)
+            yield from _hash_parts(one)
     elif isinstance(value, tuple | list):
         yield f"{type(value).__name__} {len(value)}".encode()
         for one in value:
-            yield from _parts(one)
+            yield from _hash_parts(one)
     elif value is None or isinstance(value, str | bytes | int | float | date | timedelta | np.generic):
         yield repr(value.item() if isinstance(value, np.generic) else value).encode()
     else:
@@ -320,7 +320,7 @@ def _parts(value: Any) -> Iterator[bytes]:  # noqa: ANN401 - of any type
 _NUMPY = {"_reconstruct", "_frombuffer", "ndarray", "dtype", "scalar"}
 
 
-class _Unpickler(pickle.Unpickler):
+class _RestrictedUnpickler(pickle.Unpickler):
     """Reads values of numpy and of this package: a ledger that others wrote runs nothing of theirs."""
 
     def find_class(self, module: str, name: str) -> Any:  # noqa: ANN401 - a class
@@ -333,9 +333,9 @@ class _Unpickler(pickle.Unpickler):
         raise pickle.UnpicklingError(f"{module}.{name} is no value")
 
 
-def _unpacked(content: Any) -> Any:  # noqa: ANN401 - of any type
+def _unpack_result(content: Any) -> Any:  # noqa: ANN401 - of any type
     """Return a kept value; None where it is damaged or this software has no such values: it is made again."""
     try:
-        return _Unpickler(io.BytesIO(content)).load()
+        return _RestrictedUnpickler(io.BytesIO(content)).load()
     except Exception:  # noqa: BLE001 - a damaged pickle raises errors of any kind
         return None

@@ -58,12 +58,12 @@ class CameraNights(NamedTuple):
 
     def work(self) -> Work:
         """Return the images as the passes take them: a night of which one image waits is read as a whole."""
-        items = [_item(one) for one in self.images]
+        items = [_make_item(one) for one in self.images]
         keys = [key for night in self.nights for key in [night.key] * len(night.images)]
         camera = replace(self.camera, images=self.images)
-        return Work(camera, list(enumerate(items)), None, keys=keys, chunks=self._chunks)
+        return Work(camera, list(enumerate(items)), None, keys=keys, chunks=self._make_chunks)
 
-    def _chunks(self, waiting: Collection[int]) -> list[Chunk]:
+    def _make_chunks(self, waiting: Collection[int]) -> list[Chunk]:
         """Return a unit of work for each night of which images wait, by their number among the images."""
         plan, begin, chunks = self.camera.plan, 0, list[Chunk]()
         for night in self.nights:
@@ -71,7 +71,7 @@ class CameraNights(NamedTuple):
             begin = rows.stop
             if any(row in waiting for row in rows):
                 ordered = sorted(night.images, key=lambda image: (image.file, image.number))
-                items = tuple(_item(one) for one in ordered)
+                items = tuple(_make_item(one) for one in ordered)
                 chunks.append(
                     Chunk(plan.name, ordered[0].address, plan.method, self.camera.size, items, None, night.naming)
                 )
@@ -117,26 +117,26 @@ def collect_nights(
     for _, every in by_night(camera.nights, longitude=camera.plan.site.longitude):
         first, last = every[0].unix_s, every[-1].unix_s
         number = epoch_at(epochs, first) if epochs else 0
-        if not epochs or epoch_at(epochs, last) != number or _between(epochs, number, last):
+        if not epochs or epoch_at(epochs, last) != number or _is_between_epochs(epochs, number, last):
             left_out += every
             continue
         state = states[epochs[number].state]
         mask = hidden[number] if hidden else None
         naming = StarNaming(state.calibration, camera.plan.site, state.clock_offset_s, mask)
-        nights += [CameraNight(naming, tuple(evenly(part)), number) for part in _by_source(every)]
+        nights += [CameraNight(naming, tuple(evenly(part)), number) for part in _split_by_source(every)]
     return CameraNights(camera, tuple(nights), tuple(left_out))
 
 
-def _item(image: ArchiveImage) -> Item:
+def _make_item(image: ArchiveImage) -> Item:
     return Item(image.file, image.number, image.exposure_us, unix_s=image.unix_s)
 
 
-def _between(epochs: Sequence[Epoch], number: int, unix_s: float) -> bool:
+def _is_between_epochs(epochs: Sequence[Epoch], number: int, unix_s: float) -> bool:
     """Return whether a time lies after the last sighting of its epoch and before the first of the next."""
     return number + 1 < len(epochs) and unix_s > epochs[number].end_unix_s
 
 
-def _by_source(images: Sequence[ArchiveImage]) -> list[list[ArchiveImage]]:
+def _split_by_source(images: Sequence[ArchiveImage]) -> list[list[ArchiveImage]]:
     addresses = dict.fromkeys(image.address for image in images)
     return [[image for image in images if image.address == address] for address in addresses]
 
@@ -156,17 +156,17 @@ def name_stars(chunk: Chunk) -> list[Answer]:
                 found[item] = image
                 continue
             try:
-                views[item] = _view(image, item, naming, warm)
+                views[item] = _make_view(image, item, naming, warm)
             except Exception as error:  # noqa: BLE001 - whatever an image does to a detector, the others go on
                 found[item] = Finding("image_failed", {"error": f"{type(error).__name__}: {error}"})
     clean = [replace(view, stars=warm.without_warm(view.stars)) for view in views.values()]
     for item, view, one in zip(views, clean, match_views(clean), strict=True):
         accepted = one.matches.accepted
-        found[item] = _rows(view, one, chunk.size) if accepted else _not_named(one.matches.findings)
+        found[item] = _make_named_stars(view, one, chunk.size) if accepted else _not_named_finding(one.matches.findings)
     return [Answer(item.file, item.number, found[item]) for item in chunk.items]
 
 
-def _view(image: Image, item: Item, naming: StarNaming, warm: WarmPixelMap) -> StarView:
+def _make_view(image: Image, item: Item, naming: StarNaming, warm: WarmPixelMap) -> StarView:
     """Return the detections of an image, and the stars that are predicted at the time that its clock truly meant."""
     unix_s = item.unix_s - naming.clock_offset_s
     frame = make_file_frame(image, unix_s, item.exposure_us, item.number)
@@ -181,13 +181,13 @@ def _hidden_pixels(hidden: PackedMask, image: Image) -> BoolArray:
     return cv2.dilate(whole, np.ones((2 * _EDGE_PX + 1,) * 2, dtype=np.uint8)).astype(np.bool_)
 
 
-def _rows(view: StarView, found: MatchedView, size: tuple[int, int]) -> NamedStars:
+def _make_named_stars(view: StarView, found: MatchedView, size: tuple[int, int]) -> NamedStars:
     names, stars = surest_named(view, found, size)
     columns = np.column_stack([stars.pixels, stars.sigma_px]).round(_DIGITS).tolist()
     return NamedStars(tuple((str(name), x, y, sigma) for name, (x, y, sigma) in zip(names, columns, strict=True)))
 
 
-def _not_named(findings: Sequence[Finding]) -> Finding:
+def _not_named_finding(findings: Sequence[Finding]) -> Finding:
     return Finding("stars_not_named", {"error": joined(findings)})
 
 

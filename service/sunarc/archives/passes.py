@@ -140,8 +140,8 @@ class Passes(NamedTuple):
         """Return the static parts of each camera's images; a mask is made once and kept: all answers rest on it."""
         kept = [self.ledger.mask(camera.plan.name, version=software()) for camera in cameras]
         new = [camera for camera, mask in zip(cameras, kept, strict=True) if mask is None]
-        moving = [camera for camera in new if _motion_deg(camera) >= _LEAST_MOTION_DEG]
-        masks = self.cluster.each(find_static_mask, list(map(_spread, moving)))
+        moving = [camera for camera in new if _largest_sun_motion_deg(camera) >= _LEAST_MOTION_DEG]
+        masks = self.cluster.each(find_static_mask, list(map(_sample_chunk, moving)))
         found = dict(zip((one.plan.name for one in moving), masks, strict=True))
         for camera in new:
             self.ledger.keep_mask(camera.plan.name, found.get(camera.plan.name), version=software())
@@ -153,8 +153,8 @@ class Passes(NamedTuple):
             Work(one, [(n, Item(i.file, i.number, i.exposure_us)) for n, i in enumerate(one.images)], mask)
             for one, mask in zip(cameras, masks, strict=True)
         )
-        found = self._looked(work, expected_sun.SEARCHED, "searching")
-        return [_complete(one.images, new) for one, new in zip(cameras, found, strict=True)]
+        found = self._process_images(work, expected_sun.SEARCHED, "searching")
+        return [_require_all_answers(one.images, new) for one, new in zip(cameras, found, strict=True)]
 
     def predict(
         self,
@@ -167,12 +167,12 @@ class Passes(NamedTuple):
         `expected` may be made as it is asked for: that of one camera is held at a time.
         """
         work = (
-            Work(camera, _not_as_expected(looked, of_camera), mask)
+            Work(camera, _select_unexpected(looked, of_camera), mask)
             for (camera, looked), of_camera, mask in zip(searched, expected, masks, strict=True)
         )
-        found = self._looked(work, expected_sun.PREDICTED, "with prediction")
+        found = self._process_images(work, expected_sun.PREDICTED, "with prediction")
         return [
-            _complete(
+            _require_all_answers(
                 looked.images, (former if one is None else one for one, former in zip(new, looked.found, strict=True))
             )
             for (_, looked), new in zip(searched, found, strict=True)
@@ -181,10 +181,10 @@ class Passes(NamedTuple):
     def name(self, work: Iterable[Work], *, run: Callable[[Chunk], list[Answer]]) -> list[Looked]:
         """Return the stars that are named in images of the night; `run` names those of a unit of work."""
         every = list(work)
-        found = self._looked(every, expected_sun.STARS, "naming stars", run=run)
-        return [_complete(one.camera.images, new) for one, new in zip(every, found, strict=True)]
+        found = self._process_images(every, expected_sun.STARS, "naming stars", run=run)
+        return [_require_all_answers(one.camera.images, new) for one, new in zip(every, found, strict=True)]
 
-    def _looked(
+    def _process_images(
         self,
         work: Iterable[Work],
         pass_number: int,
@@ -196,11 +196,11 @@ class Passes(NamedTuple):
 
         Answers of the ledger that still hold are taken, and it is given the new ones.
         """
-        asked: dict[str, _Question] = {}
+        asked: dict[str, _PassAnswers] = {}
         chunks: list[Chunk] = []
         total = 0
         for one in work:
-            camera = _Question(one, self.ledger, pass_number)
+            camera = _PassAnswers(one, self.ledger, pass_number)
             asked[one.camera.plan.name] = camera
             total += len(one.items)
             if one.chunks is not None:
@@ -214,18 +214,18 @@ class Passes(NamedTuple):
         done = total - sum(len(chunk.items) for chunk in chunks)
         self.progress(title, done, total)
 
-        def keep(chunk: Chunk, answers: Sequence[Answer]) -> None:
+        def store_answers(chunk: Chunk, answers: Sequence[Answer]) -> None:
             nonlocal done
             rows = asked[chunk.camera].answered(chunk, answers)
             self.ledger.store(chunk.camera, pass_number, rows, version=software())
             done += len(rows)
             self.progress(title, done, total)
 
-        self.cluster.look(chunks, keep, run=run)
+        self.cluster.look(chunks, store_answers, run=run)
         return [one.found for one in asked.values()]
 
 
-class _Question:
+class _PassAnswers:
     """A camera's answers in a pass, as they come.
 
     Attributes
@@ -244,9 +244,9 @@ class _Question:
         items = dict(work.items)
         for image, known in ledger.answers(work.camera.plan.name, pass_number=pass_number):
             row = self._row.get(image)
-            if row is None or known.key not in {ANY, self._key(row, items[row])}:
+            if row is None or known.key not in {ANY, self._hash_inputs(row, items[row])}:
                 continue
-            if known.stamp in {ANY, self._stamp(row)}:
+            if known.stamp in {ANY, self._hash_stamp(row)}:
                 self.found[row] = kept(known.found)
             elif known.content is not None:
                 self._touched[row] = known
@@ -265,14 +265,19 @@ class _Question:
             found = self._touched[row].found if one.found is None else one.found
             self.found[row] = kept(found)
             rows.append(
-                (image, Known(self._key(row, items[one.file, one.number]), found, self._stamp(row), one.content))
+                (
+                    image,
+                    Known(
+                        self._hash_inputs(row, items[one.file, one.number]), found, self._hash_stamp(row), one.content
+                    ),
+                )
             )
         return rows
 
-    def _stamp(self, row: int) -> str:
+    def _hash_stamp(self, row: int) -> str:
         return result_key((self._camera.images[row].stamp,))
 
-    def _key(self, row: int, item: Item) -> str:
+    def _hash_inputs(self, row: int, item: Item) -> str:
         """Return the hash of all values that an answer rests on apart from the file."""
         if self._keys is not None:
             return result_key((software(), self._keys[row]))
@@ -285,21 +290,21 @@ def kept(found: Detection | NamedStars | Finding) -> Found:
     if isinstance(found, Finding | NamedStars):
         return found
     if not found.accepted:
-        return _reject(found.verdict)
+        return _make_rejected_sun(found.verdict)
     return FoundSun(accepted=True, verdict=found.verdict, x_px=found.x_px, y_px=found.y_px, sigma_px=found.sigma_px)
 
 
 @cache  # one value for all of them: most images of a cloudy year are alike
-def _reject(verdict: Verdict) -> FoundSun:
+def _make_rejected_sun(verdict: Verdict) -> FoundSun:
     return FoundSun(accepted=False, verdict=verdict)
 
 
-def _complete(images: tuple[ArchiveImage, ...], found: Iterable[Found | None]) -> Looked:
+def _require_all_answers(images: tuple[ArchiveImage, ...], found: Iterable[Found | None]) -> Looked:
     """Return images with their answers, all of which are there."""
     return Looked(images, tuple(one for one in found if one is not None))
 
 
-def _spread(camera: CameraImages) -> Chunk:
+def _sample_chunk(camera: CameraImages) -> Chunk:
     """Return some images spread over all of a camera's first source."""
     address = camera.images[0].address
     of_one = [image for image in camera.images if image.address == address]
@@ -308,7 +313,7 @@ def _spread(camera: CameraImages) -> Chunk:
     return Chunk(camera.plan.name, address, camera.plan.method, camera.size, items)
 
 
-def _not_as_expected(looked: Looked, expected: Sequence[Expectation | None]) -> list[tuple[int, Item]]:
+def _select_unexpected(looked: Looked, expected: Sequence[Expectation | None]) -> list[tuple[int, Item]]:
     """Return the images whose sighting is not where the sun should be; of a stack all, where its sighting is not."""
     suns = [
         (number, image, found, one)
@@ -324,7 +329,7 @@ def _not_as_expected(looked: Looked, expected: Sequence[Expectation | None]) -> 
     times = {image.time_us for _, image, _, _ in again} & stacked
     numbers = {number for number, *_ in again}
     return [
-        (number, Item(image.file, image.number, image.exposure_us, one, one is None, _place(found)))
+        (number, Item(image.file, image.number, image.exposure_us, one, one is None, _get_place(found)))
         for number, image, found, one in suns
         if number in numbers or image.time_us in times
     ]
@@ -363,14 +368,14 @@ def without_frozen(looked: Looked, site: Site) -> Looked:
         if not isinstance(one, FoundSun) or not one.accepted or one.x_px is None or one.y_px is None:
             continue
         same = [at for at, x, y in seen if max(abs(x - one.x_px), abs(y - one.y_px)) < _SAME_PX]
-        if any(_moved_deg(at, image.unix_s, site) > _MOVED_DEG for at in same):
-            found[row] = _reject(FROZEN)
+        if any(_sun_motion_deg(at, image.unix_s, site) > _MOVED_DEG for at in same):
+            found[row] = _make_rejected_sun(FROZEN)
         else:
             seen.append((image.unix_s, one.x_px, one.y_px))
     return Looked(looked.images, tuple(found))
 
 
-def _moved_deg(earlier_s: float, later_s: float, site: Site) -> float:
+def _sun_motion_deg(earlier_s: float, later_s: float, site: Site) -> float:
     """Return the angle between the suns of two times."""
     return math.degrees(float(angular_distance(*sun_directions(np.array([earlier_s, later_s]), site))))
 
@@ -384,17 +389,19 @@ def without_lifted(searched: Looked, looked: Looked, refused: Sequence[bool]) ->
     refused : of each image, whether the calibration of its epoch is refused: its prediction proves nothing.
     """
     pairs = zip(searched.found, looked.found, refused, strict=True)
-    found = (first if is_refused and _was_lifted(first, second) else second for first, second, is_refused in pairs)
+    found = (
+        first if is_refused and _is_newly_accepted(first, second) else second for first, second, is_refused in pairs
+    )
     return Looked(looked.images, tuple(found))
 
 
-def _was_lifted(first: Found, second: Found) -> bool:
+def _is_newly_accepted(first: Found, second: Found) -> bool:
     if not isinstance(first, FoundSun) or not isinstance(second, FoundSun):
         return False
     return second.accepted and not first.accepted
 
 
-def _place(found: FoundSun) -> tuple[float, float] | None:
+def _get_place(found: FoundSun) -> tuple[float, float] | None:
     return None if found.x_px is None or found.y_px is None else (found.x_px, found.y_px)
 
 
@@ -500,19 +507,21 @@ def rounded(one: Expectation | None) -> Expectation | None:
     stretch = one.stretch_px_per_rad
     (a, b), (c, d) = stretch if stretch is not None else ((0.0, 0.0), (0.0, 0.0))
     return Expectation(
-        x_px=_step(one.x_px, _PIXEL_STEP),
-        y_px=_step(one.y_px, _PIXEL_STEP),
-        uncertainty_px=max(_step(one.uncertainty_px, _SIGMA_STEP), _SIGMA_STEP),
-        stretch_px_per_rad=None if stretch is None else ((_step(a), _step(b)), (_step(c), _step(d))),
-        apparent_zenith=None if one.apparent_zenith is None else _step(one.apparent_zenith, _ZENITH_STEP),
+        x_px=_round_to_step(one.x_px, _PIXEL_STEP),
+        y_px=_round_to_step(one.y_px, _PIXEL_STEP),
+        uncertainty_px=max(_round_to_step(one.uncertainty_px, _SIGMA_STEP), _SIGMA_STEP),
+        stretch_px_per_rad=None
+        if stretch is None
+        else ((_round_to_step(a), _round_to_step(b)), (_round_to_step(c), _round_to_step(d))),
+        apparent_zenith=None if one.apparent_zenith is None else _round_to_step(one.apparent_zenith, _ZENITH_STEP),
     )
 
 
-def _step(value: float, step: float = _STRETCH_STEP) -> float:
+def _round_to_step(value: float, step: float = _STRETCH_STEP) -> float:
     return step * round(value / step)
 
 
-def _motion_deg(camera: CameraImages) -> float:
+def _largest_sun_motion_deg(camera: CameraImages) -> float:
     """Return the largest angle between the suns of some images."""
     some = camera.images[:: len(camera.images) // _MASK_IMAGES + 1]
     if not some:

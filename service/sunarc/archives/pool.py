@@ -54,16 +54,16 @@ class ProcessRunner:
         lost: list[Chunk] | None = []
         while lost is not None:
             for chunk in lost:
-                done(chunk, _alone(run, chunk))
-            lost = self._until_one_dies(run, waiting, done)
+                done(chunk, _run_alone(run, chunk))
+            lost = self._run_until_death(run, waiting, done)
 
-    def _until_one_dies(self, run: Run, chunks: Iterator[Chunk], done: Done) -> list[Chunk] | None:
+    def _run_until_death(self, run: Run, chunks: Iterator[Chunk], done: Done) -> list[Chunk] | None:
         """Look at chunks; return those that were under way when a process died, None when all are done."""
         under_way: deque[tuple[Chunk, Future[list[Answer]]]] = deque()
-        pool = _pool(self._processes)
+        pool = _new_pool(self._processes)
         try:
             for chunk in chunks:
-                under_way.append((chunk, _submitted(pool, run, chunk)))
+                under_way.append((chunk, _submit_chunk(pool, run, chunk)))
                 if len(under_way) >= _AHEAD * self._processes:
                     done(under_way[0][0], under_way[0][1].result())
                     under_way.popleft()
@@ -77,7 +77,7 @@ class ProcessRunner:
         return None
 
 
-def _submitted(pool: ProcessPoolExecutor, run: Run, chunk: Chunk) -> Future[list[Answer]]:
+def _submit_chunk(pool: ProcessPoolExecutor, run: Run, chunk: Chunk) -> Future[list[Answer]]:
     """Return the future answers of a chunk; a pool that is broken already answers with its error."""
     # The process that this may start inherits the mask: Ctrl-C is for the run, which lets each image be finished.
     former = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
@@ -91,23 +91,23 @@ def _submitted(pool: ProcessPoolExecutor, run: Run, chunk: Chunk) -> Future[list
         signal.pthread_sigmask(signal.SIG_SETMASK, former)
 
 
-def _alone(run: Run, chunk: Chunk) -> list[Answer]:
+def _run_alone(run: Run, chunk: Chunk) -> list[Answer]:
     """Return the answers of a chunk in a process of its own; that it died is an answer, too."""
-    with _pool(1) as pool:
+    with _new_pool(1) as pool:
         try:
-            return _submitted(pool, run, chunk).result()
+            return _submit_chunk(pool, run, chunk).result()
         except BrokenProcessPool as error:
             died = Finding("worker_died", {"error": str(error)})
             return [Answer(item.file, item.number, died) for item in chunk.items]
 
 
-def _pool(processes: int) -> ProcessPoolExecutor:
+def _new_pool(processes: int) -> ProcessPoolExecutor:
     one_thread_each()  # read by the processes that are started
     context = multiprocessing.get_context("spawn")
-    return ProcessPoolExecutor(processes, mp_context=context, initializer=_begin)
+    return ProcessPoolExecutor(processes, mp_context=context, initializer=_prepare_process)
 
 
-def _begin() -> None:
+def _prepare_process() -> None:
     """Prepare a process: one thread for images, memory that is kept for the next one, an end when the run has died."""
     cv2.setNumThreads(1)
     keep_freed_memory()

@@ -103,15 +103,15 @@ def reanalyse(
     with disk_errors(options.target):
         options.target.mkdir(parents=True, exist_ok=True)
     store = options.store or f"sqlite:///{options.target / 'ledger.sqlite'}"
-    given = [_given(one) for one in indexed.cameras]
+    given = [_load_given_calibration(one) for one in indexed.cameras]
     with (
         lock_state(options.target, remedy=_ANOTHER),
         Ledger(store) as ledger,
         ClusterWhenNeeded(partial(open_cluster, options.workers, clock=clock), opened) as cluster,
     ):
-        results = _results(indexed.cameras, given, Passes(ledger, cluster, progress), ledger)
+        results = _analyse_cameras(indexed.cameras, given, Passes(ledger, cluster, progress), ledger)
         if options.provisional:
-            results = [_kept_provisional(one) for one in results]
+            results = [_keep_provisional(one) for one in results]
         summary = write_results(
             options.target, results, indexed, each=cluster.each if options.exports else None, ledger=ledger
         )
@@ -120,22 +120,22 @@ def reanalyse(
     return summary
 
 
-def _results(
+def _analyse_cameras(
     stated: Sequence[CameraImages], started: Sequence[Calibration | None], passes: Passes, ledger: Ledger
 ) -> list[CameraResult]:
     cameras = list(stated)
     names, each = [one.plan.name for one in cameras], passes.cluster.each
     masks = passes.masks(cameras)
-    searched = _searched(cameras, masks, passes)
-    given = [_sightings(*one) for one in zip(cameras, searched, started, strict=True)]
+    searched = _search_without_prediction(cameras, masks, passes)
+    given = [_make_camera_sightings(*one) for one in zip(cameras, searched, started, strict=True)]
     passes.progress("epochs", 0, len(cameras))
     rough = [one or Rough(findings=(_DIED,)) for one in ledger.each(each, first_analysis, given, names=names)]
-    rough = _by_stars(cameras, given, rough, passes, ledger)
+    rough = _analyse_by_stars(cameras, given, rough, passes, ledger)
     passes.progress("epochs", len(cameras), len(cameras))
     found = [n for n, one in enumerate(rough) if one.states]
     lit = {n: by_true_times(cameras[n], rough[n].states, rough[n].epochs) for n in found}
     later = [n for n, one in lit.items() if one.images != cameras[n].images]
-    again_searched = _searched([lit[n] for n in later], [masks[n] for n in later], passes)
+    again_searched = _search_without_prediction([lit[n] for n in later], [masks[n] for n in later], passes)
     for n, one in zip(later, again_searched, strict=True):
         cameras[n], searched[n] = lit[n], one
     expected = (predictions(cameras[n], rough[n].states, rough[n].epochs) for n in found)
@@ -153,11 +153,11 @@ def _results(
     fitted = ledger.each(each, final_analysis, [again[n] for n in fewer], names=[f"{names[n]}, fewer" for n in fewer])
     final |= dict(zip(fewer, fitted, strict=True))
     passes.progress("calibrations", len(found), len(found))
-    nights = _nights(cameras, final, _no_sky(cameras, looked, final, passes, ledger), passes)
+    nights = _name_night_stars(cameras, final, _find_no_sky_masks(cameras, looked, final, passes, ledger), passes)
     final |= _add_stars(nights, final, again, passes, ledger)
     final = {n: None if one is None else one.drop_uncalibrated() for n, one in final.items()}
-    obstructions = _obstructions(cameras, looked, final, passes, ledger)
-    return _numbered(
+    obstructions = _find_obstructions(cameras, looked, final, passes, ledger)
+    return _number_epochs(
         [
             CameraResult(
                 camera=camera,
@@ -173,7 +173,7 @@ def _results(
     )
 
 
-def _numbered(results: Sequence[CameraResult]) -> list[CameraResult]:
+def _number_epochs(results: Sequence[CameraResult]) -> list[CameraResult]:
     """Return results, those of a camera whose picture was resized with one numbering of epochs in the order of time."""
     before: dict[str, int] = {}
     numbered: dict[str, CameraResult] = {}
@@ -187,7 +187,9 @@ def _numbered(results: Sequence[CameraResult]) -> list[CameraResult]:
     return [numbered[one.part] for one in results]
 
 
-def _searched(cameras: Sequence[CameraImages], masks: Sequence[PackedMask | None], passes: Passes) -> list[Looked]:
+def _search_without_prediction(
+    cameras: Sequence[CameraImages], masks: Sequence[PackedMask | None], passes: Passes
+) -> list[Looked]:
     """Return the detections without a prediction, those of images that came before rejected."""
     found = passes.search(cameras, masks) if cameras else []
     return [without_frozen(one, camera.plan.site) for camera, one in zip(cameras, found, strict=True)]
@@ -202,12 +204,12 @@ def _keep_accepted_epochs(searched: Looked, looked: Looked, final: Final) -> Loo
     return without_lifted(searched, looked, refused)
 
 
-def _kept_provisional(result: CameraResult) -> CameraResult:
+def _keep_provisional(result: CameraResult) -> CameraResult:
     final = result.final
     return result if final is None else replace(result, final=kept_provisional(final, _load_known(result.camera)))
 
 
-def _no_sky(
+def _find_no_sky_masks(
     cameras: Sequence[CameraImages],
     looked: Mapping[int, Looked],
     final: Mapping[int, Final | None],
@@ -217,11 +219,11 @@ def _no_sky(
     """Return the parts of the images that show no sky in each epoch of the cameras that have suns and nights."""
     sunny = {n: one for n, one in final.items() if one is not None and one.epochs == one.drop_uncalibrated().epochs}
     starry = {n: one for n, one in sunny.items() if cameras[n].nights}
-    found = _obstructions(cameras, looked, starry, passes, ledger, title=", before its stars")
+    found = _find_obstructions(cameras, looked, starry, passes, ledger, title=", before its stars")
     return {number: [one.no_sky() for one in of_epochs] for number, of_epochs in found.items()}
 
 
-def _nights(
+def _name_night_stars(
     cameras: Sequence[CameraImages],
     final: Mapping[int, Final | None],
     hidden: Mapping[int, Sequence[PackedMask | None]],
@@ -255,7 +257,7 @@ def _add_stars(
     return {number: one for number, one in zip(starry, fitted, strict=True) if one is not None}
 
 
-def _given(camera: CameraImages) -> Calibration | None:
+def _load_given_calibration(camera: CameraImages) -> Calibration | None:
     """Return the calibration that a camera's search begins with; InputError where it is of images of another size."""
     if camera.plan.calibration is None:
         return None
@@ -272,7 +274,7 @@ def _given(camera: CameraImages) -> Calibration | None:
     return replace(found, site=camera.plan.site)
 
 
-def _sightings(camera: CameraImages, looked: Looked, given: Calibration | None) -> CameraSightings:
+def _make_camera_sightings(camera: CameraImages, looked: Looked, given: Calibration | None) -> CameraSightings:
     """Return a camera's sightings; where it is given, with its state, whose tilt is then known."""
     points, known = looked.points()[0], _load_known(camera)
     if given is None:
@@ -284,7 +286,7 @@ def _sightings(camera: CameraImages, looked: Looked, given: Calibration | None) 
     return CameraSightings(points, known, (known_state(given, points),))
 
 
-def _by_stars(
+def _analyse_by_stars(
     cameras: Sequence[CameraImages],
     given: Sequence[CameraSightings],
     rough: Sequence[Rough],
@@ -296,16 +298,16 @@ def _by_stars(
     nights = [CameraNightImages(cameras[n].nights, given[n].camera, given[n].states) for n in dark]
     found = ledger.each(passes.cluster.each, first_by_stars, nights, names=[cameras[n].plan.name for n in dark])
     started = dict(zip(dark, found, strict=True))
-    return [_or_by_stars(one, started.get(n), suns=bool(cameras[n].images)) for n, one in enumerate(rough)]
+    return [_choose_sun_or_stars(one, started.get(n), suns=bool(cameras[n].images)) for n, one in enumerate(rough)]
 
 
-def _or_by_stars(rough: Rough, stars: Rough | None, *, suns: bool) -> Rough:
+def _choose_sun_or_stars(rough: Rough, stars: Rough | None, *, suns: bool) -> Rough:
     if stars is None or stars.states:
         return stars or rough
     return rough if suns else stars
 
 
-def _obstructions(
+def _find_obstructions(
     cameras: Sequence[CameraImages],
     looked: Mapping[int, Looked],
     final: Mapping[int, Final | None],

@@ -60,7 +60,7 @@ def first_by_stars(given: CameraNightImages) -> Rough:
         return Rough(findings=(*found.refused[:1], at_night))
     numbers = list(dict.fromkeys(number for _, number in held))
     states = [found.states[number] for number in numbers]
-    epochs = _epochs([(night, numbers.index(number)) for night, number in held], states)
+    epochs = _make_epochs([(night, numbers.index(number)) for night, number in held], states)
     options = given.camera.options  # a hand that is not stated is the one that the stars show
     asked = given.camera._replace(options=replace(options, mirrored=options.mirrored or "auto"))
     return Rough(tuple(states), tuple(epochs), doubts(states[0].calibration, asked))
@@ -88,19 +88,19 @@ class _StarSearch:
         self._read: dict[float, list[StarImage]] = {}
         if not self.states:  # the first camera is sought where most images are
             for night in sorted(self.nights, key=lambda one: -len(one.images)):
-                if self._start(self._seen(night)) is not None:
+                if self._start_blind(self._read_stars(night)) is not None:
                     break
 
     def named_state(self, night: _Night) -> int | None:
         """Return the number of the state that a night's stars are named by; None without one."""
-        seen = self._seen(night)
+        seen = self._read_stars(night)
         for number, state in enumerate(self.states):
             named = named_stars(seen, state.calibration)
             if any(one.matches is not None and one.matches.accepted for one in named):
                 return number
-        return self._start(seen)
+        return self._start_blind(seen)
 
-    def _start(self, seen: list[StarImage]) -> int | None:
+    def _start_blind(self, seen: list[StarImage]) -> int | None:
         """Return the number of a new state that a night's stars show without a start."""
         if self._starts >= _MOST_STARTS or not seen:
             return None
@@ -114,13 +114,13 @@ class _StarSearch:
         self.states.append(_new_state(found.calibration, self.states))
         return len(self.states) - 1
 
-    def _seen(self, night: _Night) -> list[StarImage]:
+    def _read_stars(self, night: _Night) -> list[StarImage]:
         if night.first_unix_s not in self._read:
             some = [night.images[row] for row in evenly_spread(len(night.images), most=_IMAGES).tolist()]
-            self._read[night.first_unix_s] = [one for image in some for one in self._stars(image)]
+            self._read[night.first_unix_s] = [one for image in some for one in self._detect_stars(image)]
         return self._read[night.first_unix_s]
 
-    def _stars(self, image: ArchiveImage) -> list[StarImage]:
+    def _detect_stars(self, image: ArchiveImage) -> list[StarImage]:
         """Return the detections of an image; nothing where it cannot be read."""
         camera = self._camera
         source = open_source(image.address)
@@ -141,7 +141,7 @@ def _new_state(calibration: Calibration, states: Sequence[State]) -> State:
     return State(calibration, lens, pose, 0.0, float(np.nan_to_num(calibration.evidence.sigma_px)))
 
 
-def _epochs(held: Sequence[tuple[_Night, int]], states: Sequence[State]) -> list[Epoch]:
+def _make_epochs(held: Sequence[tuple[_Night, int]], states: Sequence[State]) -> list[Epoch]:
     """Return the epochs of nights in the order of time, each of a state."""
     epochs: list[Epoch] = []
     for night, number in held:

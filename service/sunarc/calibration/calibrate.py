@@ -97,7 +97,7 @@ def calibrated(job: Job, fitted: Fitted | None = None) -> Calibration:
         picked = most_plausible_start(job)
         if picked is None:
             against = (*below_horizon(job.usable, job.options), Finding("no_camera_fits"))
-            return _explained(refused(job, against), job, None)
+            return _add_handedness_finding(refused(job, against), job, None)
         fitted = Fitted(picked, fit_robustly(job.usable, picked.cameras, job.options, job.circle))
     by_paper = job.options.method == "paper"
     found = None if by_paper else contradiction(fitted.fit, job.usable)
@@ -117,10 +117,10 @@ def calibrated(job: Job, fitted: Fitted | None = None) -> Calibration:
     calibration = calibration_from_fit(outcome, job, others=hand.against)
     if calibration.verdict.accepted:
         return reduce(add_finding, hand.found, calibration)
-    return calibration if hand.against else _explained(calibration, job, hand.fitted)
+    return calibration if hand.against else _add_handedness_finding(calibration, job, hand.fitted)
 
 
-def _explained(calibration: Calibration, job: Job, fitted: Fitted | None) -> Calibration:
+def _add_handedness_finding(calibration: Calibration, job: Job, fitted: Fitted | None) -> Calibration:
     """Return a calibration; where it is refused and the other handedness is far more probable, its verdict says so."""
     verdict = calibration.verdict
     if verdict.accepted or not job.parts or job.options.mirrored == "auto":

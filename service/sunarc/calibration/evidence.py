@@ -295,7 +295,7 @@ def fit_inlier_mixture(covariance: FloatArray, sightings: PixelResiduals, inlier
     inlier : (n,) initial inliers; then each is classified by the prediction from the others, until nothing changes.
     """
     for _ in range(_SWEEPS):
-        loo_residual, spread = _leave_one_out(covariance, sightings, inlier)
+        loo_residual, spread = _leave_one_out_residuals(covariance, sightings, inlier)
         true = _log_density(loo_residual, spread) + math.log(1.0 - _FALSE_SHARE)
         next_ = true > sightings.false_density + math.log(_FALSE_SHARE)
         if np.array_equal(next_, inlier) or not np.any(next_):
@@ -319,7 +319,7 @@ def log_evidence(covariance: FloatArray, sightings: PixelResiduals, inliers: Boo
     )
 
 
-def _leave_one_out(
+def _leave_one_out_residuals(
     covariance: FloatArray, sightings: PixelResiduals, inlier: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return leave-one-out residuals (n, 2) by the other inliers, and their covariances (n, 2, 2)."""

@@ -57,7 +57,7 @@ def chosen_hand(fitted: Fitted, job: Job) -> HandChoice:
     """
     stated, other, gain = job.options.mirrored, None, math.inf
     if stated not in {"no", "yes"}:
-        other = fit_handedness(job, _other(fitted.start.hand), than=fitted.start.cost)
+        other = fit_handedness(job, _other_hand(fitted.start.hand), than=fitted.start.cost)
         gain = math.inf if other is None else -other_fit_log_odds(fitted, other, job)
         if other is not None and stated == "auto" and gain < 0.0:
             fitted, other, gain = other, fitted, -gain
@@ -75,9 +75,9 @@ def named_other(fitted: Fitted | None, job: Job) -> tuple[Finding, ...]:
     """Return the finding that the handedness which is not assumed fits far better, or alone; nothing otherwise."""
     if fitted is None:
         stated: Hand = "yes" if job.options.mirrored == "yes" else "no"
-        found = fit_handedness(job, _other(stated), than=math.inf)
+        found = fit_handedness(job, _other_hand(stated), than=math.inf)
         return () if found is None else other_fits(found, job, compared=False)
-    hand = _other(fitted.start.hand)
+    hand = _other_hand(fitted.start.hand)
     other = fit_handedness(job, hand, than=fitted.start.cost)
     if other is None or other_fit_log_odds(fitted, other, job) < _BETTER:
         return ()
@@ -94,7 +94,7 @@ def other_fits(other: Fitted, job: Job, *, compared: bool = True) -> tuple[Findi
     twin = _check_other_latitude(other, job) if hand == "yes" else None
     found = Finding(
         "other_handedness_fits" if compared else "other_handedness_alone_fits",
-        {"mirrored": hand, "stated": _other(hand), "latitude": -job.site.latitude},
+        {"mirrored": hand, "stated": _other_hand(hand), "latitude": -job.site.latitude},
     )
     return (found,) if twin is None else (twin, found)
 
@@ -115,7 +115,7 @@ def other_fit_log_odds(fitted: Fitted, other: Fitted, job: Job) -> float:
     both = {False: fitted.fit, True: other.fit}
     evidence = compare_log_evidences(both)
     limit_deg = job.options.level_within_deg
-    mounts = _log_density(other.fit, limit_deg) - _log_density(fitted.fit, limit_deg)
+    mounts = _log_mount_density(other.fit, limit_deg) - _log_mount_density(fitted.fit, limit_deg)
     gain = evidence[True] - evidence[False] + mounts
     return 0.0 if math.isnan(gain) else gain
 
@@ -125,7 +125,7 @@ def log_odds_against_twin(fitted: Fitted, job: Job) -> float:
 
     Asked whatever handedness is stated: at another latitude a mirror image of a level camera is that of a tilted one.
     """
-    twin = fit_handedness(job, _other(fitted.start.hand), than=fitted.start.cost)
+    twin = fit_handedness(job, _other_hand(fitted.start.hand), than=fitted.start.cost)
     if twin is None or _tilt_deg(twin) > _tilt_deg(fitted) - LEVEL_DEG:
         return math.inf
     return -other_fit_log_odds(fitted, twin, job)
@@ -136,13 +136,13 @@ def _tilt_deg(fitted: Fitted) -> float:
     return tilt_deg(fitted.fit.camera())
 
 
-def _log_density(fit: FitState, limit_deg: float | None) -> float:
+def _log_mount_density(fit: FitState, limit_deg: float | None) -> float:
     """Return the log density of a mount that holds the optical axis of the last pose, its tilt's limit being stated."""
     axis = rotation_matrix(fit.camera().rotation_cam_enu)[2]
     return math.log(float(mount_density(axis, limit_deg=limit_deg)))
 
 
-def _other(hand: Hand) -> Hand:
+def _other_hand(hand: Hand) -> Hand:
     return "no" if hand == "yes" else "yes"
 
 

@@ -53,11 +53,15 @@ def lag_one(residual: FloatArray, counted: BoolArray, follows: BoolArray) -> tup
     counted : (n,) whether a sighting counts.
     follows : (n - 1,) see `neighbours`.
     """
-    rho, error = _correlation(*(np.array([np.sum(one)]) for one in _pairs(residual, counted, follows)))
+    rho, error = _correlation_of_pairs(
+        *(np.array([np.sum(one)]) for one in _neighbour_pairs(residual, counted, follows))
+    )
     return float(rho[0]), float(error[0])
 
 
-def _pairs(residual: FloatArray, counted: BoolArray, follows: BoolArray) -> tuple[BoolArray, FloatArray, FloatArray]:
+def _neighbour_pairs(
+    residual: FloatArray, counted: BoolArray, follows: BoolArray
+) -> tuple[BoolArray, FloatArray, FloatArray]:
     """Return (n - 1,): which sightings make a pair with the next one, its product and its mean power; 0 for the rest.
 
     The mean power of both members, so that a correlation lies within -1 and 1.
@@ -68,7 +72,7 @@ def _pairs(residual: FloatArray, counted: BoolArray, follows: BoolArray) -> tupl
     return pair, pair * (x[:-1] * x[1:] + y[:-1] * y[1:]), pair * (0.5 * (square[:-1] + square[1:]))
 
 
-def _correlation(pairs: FloatArray, product: FloatArray, power: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _correlation_of_pairs(pairs: FloatArray, product: FloatArray, power: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return (k,): correlations and their standard errors from sums over pairs of two axes; 0 and 1 of too few."""
     count = np.maximum(2 * pairs, 1)
     rho = product / np.where(power > 0.0, power, 1.0)
@@ -92,8 +96,8 @@ def autocorrelation_inflation(
     overall = overall if overall > 2.0 * error else 0.0
     same = np.diff(run) == 0
     begin = np.flatnonzero(np.r_[True, ~same])
-    sums = (np.add.reduceat(np.r_[one, 0.0], begin) for one in _pairs(residual, counted, follows & same))
-    rho, run_error = _correlation(*sums)
+    sums = (np.add.reduceat(np.r_[one, 0.0], begin) for one in _neighbour_pairs(residual, counted, follows & same))
+    rho, run_error = _correlation_of_pairs(*sums)
     # 0.05: by how much days differ in their correlation; a short run is drawn to the common one
     share = 0.05**2 / (0.05**2 + run_error**2)
     rho = np.clip(overall + share * (rho - overall), 0.0, _LARGEST)
@@ -188,11 +192,11 @@ def measured_noise(
     if leverage is not None:
         residuals = residuals / np.sqrt(1.0 - leverage)[:, None]
     distance = np.hypot(residuals[:, 0], residuals[:, 1]) * np.sqrt(observed.information)
-    scale = at_mean = _scale(distance, groups)
+    scale = at_mean = _estimate_scales(distance, groups)
     weight = tukey_weights(distance / scale, sigma=1.0)
-    larger = _by_height(distance, residuals, weight, observed, groups)
+    larger = _noise_ratio_by_height(distance, residuals, weight, observed, groups)
     if larger is not None:
-        at_mean = _scale(distance / larger, groups)
+        at_mean = _estimate_scales(distance / larger, groups)
         scale = larger * at_mean
         weight = tukey_weights(distance / scale, sigma=1.0)
     inflated = autocorrelation_inflation(residuals, weight > 0.0, groups.follows, groups.run)
@@ -201,7 +205,7 @@ def measured_noise(
     return Noise(scale=scale, weight=weight, inflation=inflated, information=information, sigma_px=float(at_mean[0]))
 
 
-def _scale(distance: FloatArray, groups: NoiseGroups) -> FloatArray:
+def _estimate_scales(distance: FloatArray, groups: NoiseGroups) -> FloatArray:
     """Return (n,): the scale of each sighting's noise, by those of its group."""
     share = surely_well_behaved(distance.size, groups.unknowns)
     scale = np.full(distance.size, robust_sigma(distance, share=share, floor=SMALLEST_SIGMA_PX))
@@ -215,7 +219,7 @@ def _scale(distance: FloatArray, groups: NoiseGroups) -> FloatArray:
     return scale
 
 
-def _by_height(
+def _noise_ratio_by_height(
     distance: FloatArray, residuals: FloatArray, weight: FloatArray, observed: Sightings, groups: NoiseGroups
 ) -> FloatArray | None:
     """Return (n,): how the noise of the sun's track differs with its height, 1 for all else; None: it does not."""

@@ -79,7 +79,7 @@ class DenseRecord(NamedTuple):
         whole = replace(
             solved,
             left_out=left_out,
-            metrics=self._metrics(solved.metrics, n),
+            metrics=self._make_metrics(solved.metrics, n),
             evidence=replace(
                 evidence,
                 n_supplied=len(self.points),
@@ -90,15 +90,15 @@ class DenseRecord(NamedTuple):
             ),
         )
         said = {"n": int(np.sum(normal.count)), "n_points": len(normal), "slot_s": self.slot_s}
-        found = [_about(one, whole) for one in solved.verdict.findings]
+        found = [_refer_to_all_sightings(one, whole) for one in solved.verdict.findings]
         if solved.verdict.accepted:
             found.append(Finding("sightings_in_slots", said))
-        return replace(whole, verdict=replace(solved.verdict, findings=tuple(found))), self._numbered(normal)
+        return replace(whole, verdict=replace(solved.verdict, findings=tuple(found))), self._assign_epochs(normal)
 
-    def _metrics(self, of_points: Metrics, n: int) -> Metrics:
+    def _make_metrics(self, of_points: Metrics, n: int) -> Metrics:
         """Return the metrics of n sightings: of the normal points, with the scatter within the slots."""
 
-        def wider(rmse_px: float | None) -> float | None:
+        def add_slot_scatter(rmse_px: float | None) -> float | None:
             return None if rmse_px is None else math.hypot(rmse_px, self.within_px)
 
         rmse_px = math.hypot(of_points.rmse_px, self.within_px)
@@ -109,12 +109,12 @@ class DenseRecord(NamedTuple):
             n=n,
             rmse_px=rmse_px,
             rmse_all_px=math.hypot(of_points.rmse_all_px, self.within_px),
-            held_out_rmse_px=wider(of_points.held_out_rmse_px),
-            held_out_expected_px=wider(of_points.held_out_expected_px),
+            held_out_rmse_px=add_slot_scatter(of_points.held_out_rmse_px),
+            held_out_expected_px=add_slot_scatter(of_points.held_out_expected_px),
             **{name: factor * getattr(of_points, name) for name in scaled},
         )
 
-    def _numbered(self, normal: Sightings) -> Sightings:
+    def _assign_epochs(self, normal: Sightings) -> Sightings:
         """Return all sightings with the pose epochs of their normal points, those that are not usable by their time."""
         epoch = np.array(self.points.epoch)
         moved = normal.epoch - self.normal.epoch
@@ -124,7 +124,7 @@ class DenseRecord(NamedTuple):
         return replace(self.points, epoch=epoch)
 
 
-def _about(finding: Finding, solved: Calibration) -> Finding:
+def _refer_to_all_sightings(finding: Finding, solved: Calibration) -> Finding:
     """Return a finding, that of the residuals with those of all sightings."""
     if finding.code != "fit_rmse":
         return finding
@@ -163,22 +163,24 @@ def dense_record(
     residual = residuals_by_pose(pilot.camera, pilot.poses, usable)
     seen = np.all(np.isfinite(residual), axis=-1)
     if not pilot.metrics.rmse_px <= options.max_rmse_px:
-        return _in_slots(points, usable, None, sigma_px=1.0)
-    return _in_slots(points, usable.select(seen), residual[seen], sigma_px=pilot.evidence.sigma_px)
+        return _make_dense_record(points, usable, None, sigma_px=1.0)
+    return _make_dense_record(points, usable.select(seen), residual[seen], sigma_px=pilot.evidence.sigma_px)
 
 
-def _in_slots(points: Sightings, usable: Sightings, residual: FloatArray | None, *, sigma_px: float) -> DenseRecord:
+def _make_dense_record(
+    points: Sightings, usable: Sightings, residual: FloatArray | None, *, sigma_px: float
+) -> DenseRecord:
     """Return the record of sightings with residuals (n, 2) of 1-sigma `sigma_px` about a camera that is near.
 
     Without residuals the sighting in the middle of a slot stands for it.
     """
-    slot_s, member = _slots(usable)
+    slot_s, member = _assign_slots(usable)
     middle = _middle_rows(usable.unix_s, member)
     if residual is None:
         residual, weight = np.zeros(usable.pixels.shape), np.zeros(len(usable))
         weight[middle] = 1.0
     else:
-        weight = tukey_weights(_from_medians(residual, member) / usable.sigma_px, sigma=sigma_px)
+        weight = tukey_weights(_distances_from_medians(residual, member) / usable.sigma_px, sigma=sigma_px)
         lost = np.bincount(member, weight) <= 0.0
         weight[lost[member]] = _CONTRADICTING
     information = weight / usable.sigma_px**2
@@ -191,7 +193,7 @@ def _in_slots(points: Sightings, usable: Sightings, residual: FloatArray | None,
     variance = (1.0 - own) * count / np.bincount(member, usable.sigma_px**-2.0) + own / total
     normal = replace(
         points.select(usable.index[middle]),
-        pixels=_on_grid(usable.pixels[middle] + mean - residual[middle], usable),
+        pixels=_round_to_grid(usable.pixels[middle] + mean - residual[middle], usable),
         sigma_px=sigma_px * np.sqrt(variance),
         count=count,
         filtering=usable.filtering,
@@ -200,7 +202,7 @@ def _in_slots(points: Sightings, usable: Sightings, residual: FloatArray | None,
     return DenseRecord(points, usable, normal, member, counted, sigma_px, within, slot_s)
 
 
-def _slots(usable: Sightings) -> tuple[float, IntArray]:
+def _assign_slots(usable: Sightings) -> tuple[float, IntArray]:
     """Return the shortest slot that makes few enough normal points, s, and the slot of each sighting (n,)."""
     most = min(MOST, len(usable) // _FEWEST_PER_POINT)
     patch = np.zeros(len(usable), dtype=np.int64)
@@ -217,7 +219,7 @@ def _slots(usable: Sightings) -> tuple[float, IntArray]:
     return slot_s, member.ravel()
 
 
-def _from_medians(residual: FloatArray, member: IntArray) -> FloatArray:
+def _distances_from_medians(residual: FloatArray, member: IntArray) -> FloatArray:
     """Return (n,): distances of residuals (n, 2) from the medians of their slots."""
     count = np.bincount(member)
     first = np.cumsum(count) - count
@@ -237,7 +239,7 @@ def _middle_rows(unix_s: FloatArray, member: IntArray) -> IntArray:
     return np.asarray(order[np.cumsum(count) - count])
 
 
-def _on_grid(pixels: FloatArray, usable: Sightings) -> FloatArray:
+def _round_to_grid(pixels: FloatArray, usable: Sightings) -> FloatArray:
     """Return pixels (n, 2) on the grid that those of all sightings are on, if they are on one.
 
     Sightings that may have been cut share an error of half a step, far more than what is lost by it.

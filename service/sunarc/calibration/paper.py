@@ -102,7 +102,7 @@ def fit_as_paper(
             moving = np.delete(moving, TRANSLATION)
         if last_moving == Param.P4:
             camera = replace(camera, decentering=(_NUDGE, _NUDGE, 0.0, 0.0))
-        sample = one if bins is None else _means(one, bins, camera)
+        sample = one if bins is None else _average_bins(one, bins, camera)
         camera, normal = minimised(camera, sample, moving, options.paper, _STAGE)
     if bins is not None:
         camera, normal = minimised(camera, one, moving, options.paper, _LAST_STEPS)
@@ -124,7 +124,7 @@ def fit_as_paper(
     )
 
 
-def _means(observed: Sightings, bins: Bins, camera: Camera) -> Sightings:
+def _average_bins(observed: Sightings, bins: Bins, camera: Camera) -> Sightings:
     """Return one observation a bin, its residual by a camera the mean one; all of them where one is not in view."""
     residual = observed.pixels - project_fast(camera, observed.directions)
     if not np.all(np.isfinite(residual)):
@@ -202,10 +202,10 @@ def direct_linear_pose(camera: Camera, observed: Sightings) -> Camera:
     undo = np.eye(4)
     undo[:3] *= scale
     undo[:3, 3] = -scale * center
-    return _posed(camera, solution @ undo, world, rays)
+    return _pose_from_projection_matrix(camera, solution @ undo, world, rays)
 
 
-def _posed(camera: Camera, matrix: FloatArray, world: FloatArray, rays: FloatArray) -> Camera:
+def _pose_from_projection_matrix(camera: Camera, matrix: FloatArray, world: FloatArray, rays: FloatArray) -> Camera:
     """Take R and t out of P up to its scale and sign, as the paper does after Eq. 25."""
     toward = np.sum((world @ matrix[:, :3].T + matrix[:, 3]) * rays)
     matrix = matrix * (1.0 if toward >= 0.0 else -1.0)

@@ -210,7 +210,7 @@ def fit_pose(start: Calibration, sightings: Sightings, *, turned_rad: float | No
     thin = sightings.thinned(MOST)
     tolerance = tolerance_px(error_model, camera, thin)
     rotation = ransac_rotation(camera, thin.directions, thin.pixels, tolerance)
-    scales = _scales_for(float(np.linalg.norm(rotation))) if turned_rad is None else np.array([turned_rad])
+    scales = _prior_scales_for_turn(float(np.linalg.norm(rotation))) if turned_rad is None else np.array([turned_rad])
     base = rotated(camera, rotation)
     close = np.linalg.norm(finite(thin.pixels - project_fast(base, thin.directions)), axis=-1) < _CLOSE * tolerance
     # how far the camera turned is a hyperparameter: each scale is conditioned, then all are averaged
@@ -239,13 +239,13 @@ def conditioned_pose(
     inflation : by how much a sighting's variance grows because its neighbours err alike.
     """
     rough, mixture = settled(priors[min(1, len(priors) - 1)], base, sightings.thinned(MOST), close)
-    worse = _excess_noise(mixture)
+    worse = _noise_factor(mixture)
     stated_px = float(np.median(sightings.sigma_px))
     sightings = replace(sightings, sigma_px=sightings.sigma_px * worse)
-    inlier = _inliers(rough, moved(base, rough, rough.mean), sightings)
+    inlier = _select_inliers(rough, moved(base, rough, rough.mean), sightings)
     together = gathered(moved(base, rough, rough.mean), sightings, inlier, inflation=inflation)
-    fits = [_given_inliers(prior, base, together) for prior in priors]
-    final = _mixed([fit for fit, _ in fits], np.array([evidence for _, evidence in fits]) + log_prior)
+    fits = [_condition_on_inliers(prior, base, together) for prior in priors]
+    final = _merge_gaussians([fit for fit, _ in fits], np.array([evidence for _, evidence in fits]) + log_prior)
     return PoseFit(
         camera=moved(base, final, final.mean),
         error_model=replace(final, mean=0.0 * final.mean),
@@ -254,7 +254,7 @@ def conditioned_pose(
     )
 
 
-def _scales_for(angle_rad: float) -> FloatArray:
+def _prior_scales_for_turn(angle_rad: float) -> FloatArray:
     """Return the scales of a turn's prior: those with which it would be at most four sigmas."""
     return _SCALES_RAD[min(int(np.searchsorted(_SCALES_RAD, 0.25 * angle_rad)), _SCALES_RAD.size - 1) :]
 
@@ -272,14 +272,14 @@ def settled(
     """Return the error model conditioned on sightings with outliers, linearised anew in every round."""
     after = replace(error_model, mean=0.0 * error_model.mean)
     for _ in range(_ROUNDS):
-        at, unchanged, about = _linearised(error_model, base, sightings, after.mean)
+        at, unchanged, about = _linearise_sightings(error_model, base, sightings, after.mean)
         mixture = fit_inlier_mixture(joint_covariance(error_model, at), about, inlier)
         inlier = mixture.inlier
         after = conditioned(error_model, picked(at, inlier), picked(unchanged, inlier))
     return after, mixture
 
 
-def _linearised(
+def _linearise_sightings(
     error_model: CameraErrorModel, base: Camera, sightings: Sightings, mean: FloatArray
 ) -> tuple[Predicted, PixelResiduals, PixelResiduals]:
     """Return the equations of sightings at some parameters; residuals about `base`, and about the model's mean."""
@@ -289,14 +289,14 @@ def _linearised(
     return at, unchanged, replace(unchanged, residual=residual - at.rows @ error_model.mean)
 
 
-def _excess_noise(mixture: MixtureFit) -> float:
+def _noise_factor(mixture: MixtureFit) -> float:
     """Return by how much the sightings scatter more than they say, at least 1."""
     if mixture.inlier.sum() < _ENOUGH_FOR_SCALE:
         return 1.0
     return max(1.0, robust_sigma(np.sqrt(np.maximum(mixture.surprise, 0.0))))
 
 
-def _inliers(after: CameraErrorModel, camera: Camera, sightings: Sightings) -> BoolArray:
+def _select_inliers(after: CameraErrorModel, camera: Camera, sightings: Sightings) -> BoolArray:
     """Return which sightings agree with a fit of some of them."""
     at = predicted(after, camera, sightings.directions)
     square, variance = np.empty(len(sightings)), sightings.variance
@@ -309,16 +309,18 @@ def _inliers(after: CameraErrorModel, camera: Camera, sightings: Sightings) -> B
     return np.asarray(square < 25.0)
 
 
-def _given_inliers(error_model: CameraErrorModel, base: Camera, sightings: Sightings) -> tuple[CameraErrorModel, float]:
+def _condition_on_inliers(
+    error_model: CameraErrorModel, base: Camera, sightings: Sightings
+) -> tuple[CameraErrorModel, float]:
     """Return the error model conditioned on inliers, and their log evidence."""
     after = replace(error_model, mean=0.0 * error_model.mean)
     for _ in range(_ROUNDS):
-        at, unchanged, about = _linearised(error_model, base, sightings, after.mean)
+        at, unchanged, about = _linearise_sightings(error_model, base, sightings, after.mean)
         after = conditioned(error_model, at, unchanged)
     return after, log_normal(joint_covariance(error_model, at), about, np.ones(len(sightings), dtype=bool))
 
 
-def _mixed(fits: list[CameraErrorModel], log_weight: FloatArray) -> CameraErrorModel:
+def _merge_gaussians(fits: list[CameraErrorModel], log_weight: FloatArray) -> CameraErrorModel:
     """Return the one Gaussian with the mean and the covariance of all, by how probable their scales are."""
     weight = np.exp(log_weight - log_weight.max())
     weight[weight < _SMALLEST_WEIGHT] = 0.0

@@ -170,7 +170,7 @@ def _add_differences(calibration: Calibration, others: Sequence[Camera]) -> tupl
     scale = np.sqrt(np.maximum(np.diag(calibration.covariance), np.finfo(float).tiny))
     more, squares = np.zeros_like(calibration.covariance), []
     for other in others:
-        there = _places_by(other, directions, pixels)
+        there = _project_by_other_camera(other, directions, pixels)
         off = np.degrees(angular_distance(unproject(camera, there), directions))
         compared = np.isfinite(off)
         if not np.any(compared):
@@ -185,7 +185,7 @@ def _add_differences(calibration: Calibration, others: Sequence[Camera]) -> tupl
     return replace(widened, sky_rms_deg=rms, sky_max_deg=most), math.sqrt(sum(squares) / n_compared)
 
 
-def _places_by(other: Camera, directions: FloatArray, pixels: FloatArray) -> FloatArray:
+def _project_by_other_camera(other: Camera, directions: FloatArray, pixels: FloatArray) -> FloatArray:
     """Return (n, 2), px: where another camera images directions that are imaged at some pixels, within the image.
 
     NaN at the rim that it does not image; where it does not image more than that, it is half the image off.
@@ -212,7 +212,7 @@ def compare_projections(job: Job) -> tuple[ProjectionChoice, dict[Projection, Fi
     tried = {} if before_fit(job.usable, job.options) else {n: most_plausible_start(jobs[n]) for n in jobs}
     starts: dict[Projection, Start] = {name: start for name, start in tried.items() if start is not None}
     if not starts:
-        return _choice({job.options.assumed_projection: 0.0}, len(observed)), {}
+        return _make_choice({job.options.assumed_projection: 0.0}, len(observed)), {}
     lenses: dict[Projection, ComparedLens] = {}
     for name, (cameras, _) in starts.items():
         options = jobs[name].options
@@ -230,9 +230,9 @@ def compare_projections(job: Job) -> tuple[ProjectionChoice, dict[Projection, Fi
         for name in near
     }
     exact = compare_log_evidences({name: one.fit for name, one in fits.items()})
-    return _choice({**rough, **exact}, len(observed)), fits
+    return _make_choice({**rough, **exact}, len(observed)), fits
 
 
-def _choice(evidence: dict[Projection, float], n: int) -> ProjectionChoice:
+def _make_choice(evidence: dict[Projection, float], n: int) -> ProjectionChoice:
     best = max(evidence, key=lambda name: evidence[name])
     return ProjectionChoice(best, {name: evidence.get(name, -math.inf) for name in PROJECTIONS}, n)

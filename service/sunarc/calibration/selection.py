@@ -137,7 +137,7 @@ class Selection:
         return {name: int(getattr(self, name)) for name in counts}
 
 
-class _Passes(NamedTuple):
+class _SunPasses(NamedTuple):
     """Passes in the order in which they are taken: (k,) each, and the pass of every sighting (n,)."""
 
     n: IntArray
@@ -175,12 +175,12 @@ def select_sightings(
         used = ~np.isin(day, left_out_days)
         remaining, day = remaining[used], day[used]
     n_days = n_finite - remaining.size
-    single = _one_a_slot(record, remaining, slot_s)
+    single = _select_one_per_slot(record, remaining, slot_s)
     n_brackets = remaining.size - int(single.sum())
     if n_brackets:
         remaining, day = remaining[single], day[single]
-    passes = _passes(record, remaining, day, site, effective)
-    fill, retained = _filled(passes, effective)
+    passes = _sort_passes(record, remaining, day, site, effective)
+    fill, retained = _fill_to_limit(passes, effective)
     index = remaining[retained[passes.rank]]
     return Selection(
         index=index[np.argsort(record.unix_s[index], kind="stable")],
@@ -194,7 +194,7 @@ def select_sightings(
     )
 
 
-def _one_a_slot(record: Candidates, among: IntArray, slot_s: float) -> BoolArray:
+def _select_one_per_slot(record: Candidates, among: IntArray, slot_s: float) -> BoolArray:
     """Return which sightings stand for their slot: the most precise of it, the earliest among equals."""
     times, epoch = record.unix_s[among], record.epoch[among]
     slot = np.floor(times / slot_s)
@@ -209,14 +209,16 @@ def _one_a_slot(record: Candidates, among: IntArray, slot_s: float) -> BoolArray
     return selected
 
 
-def _passes(record: Candidates, among: IntArray, day: IntArray, site: Site, options: SelectionOptions) -> _Passes:
+def _sort_passes(
+    record: Candidates, among: IntArray, day: IntArray, site: Site, options: SelectionOptions
+) -> _SunPasses:
     """Return the passes by patch, in each the latest pose's first, by precision, then by their days' bits reversed."""
     epoch, slot = record.epoch[among], np.floor(record.unix_s[among] / _PATCH_SLOT_S)
     # few of the many sightings begin a run of equal slot, epoch and day: what follows is of runs as far as it can be
     begins = np.ones(among.size, dtype=bool)
     begins[1:] = (np.diff(slot) != 0.0) | (np.diff(epoch) != 0) | (np.diff(day) != 0)
     run = np.cumsum(begins) - 1
-    patch, epoch, day = _patches(slot[begins], site, options.patch_deg), epoch[begins], day[begins]
+    patch, epoch, day = _patch_of_slots(slot[begins], site, options.patch_deg), epoch[begins], day[begins]
     first_day = int(day.min()) if day.size else 0
     n_days, n_epochs = int((day - first_day).max(initial=0)) + 1, int(epoch.max(initial=0)) + 1
     key, of_run = np.unique((patch * n_epochs + epoch) * n_days + day - first_day, return_inverse=True)
@@ -224,21 +226,21 @@ def _passes(record: Candidates, among: IntArray, day: IntArray, site: Site, opti
     count = np.bincount(member, minlength=key.size)
     of_patch, epoch_number = key // (n_days * n_epochs), key // n_days % n_epochs
     grade = sigma_grade(record.sigma_px[among], member, count)
-    bits = _bits_reversed(key % n_days)
+    bits = _reverse_bits(key % n_days)
     order = np.lexsort((bits, grade, epoch_number < n_epochs - 1, of_patch))
     count, of_patch, epoch_number = count[order], of_patch[order], epoch_number[order]
     rank = np.empty(key.size, dtype=np.int64)
     rank[order] = np.arange(key.size)
-    return _Passes(
+    return _SunPasses(
         n=count,
-        before=_before(count, of_patch),
-        before_in_epoch=_before(count, of_patch * n_epochs + epoch_number),
+        before=_count_before(count, of_patch),
+        before_in_epoch=_count_before(count, of_patch * n_epochs + epoch_number),
         rank=rank[member],
         patches=int(np.unique(of_patch).size),
     )
 
 
-def _patches(slots: FloatArray, site: Site, width_deg: float) -> IntArray:
+def _patch_of_slots(slots: FloatArray, site: Site, width_deg: float) -> IntArray:
     """Return the patch of the sun in each slot of a few minutes, taken where it stood in the slot's middle."""
     slot, member = np.unique(slots, return_inverse=True)
     return sky_patches(sun_directions((slot + 0.5) * _PATCH_SLOT_S, site), width_deg=width_deg)[member]
@@ -255,7 +257,7 @@ def sigma_grade(sigma_px: FloatArray, member: IntArray, count: IntArray) -> IntA
     return np.maximum(np.rint(mean), 0.0).astype(np.int64)
 
 
-def _bits_reversed(day: IntArray) -> IntArray:
+def _reverse_bits(day: IntArray) -> IntArray:
     """Return a fixed order of days in which any first few lie far apart."""
     reverse = np.zeros_like(day)
     for bit in range(_DAY_BITS):
@@ -263,7 +265,7 @@ def _bits_reversed(day: IntArray) -> IntArray:
     return reverse
 
 
-def _before(count: IntArray, group: IntArray) -> IntArray:
+def _count_before(count: IntArray, group: IntArray) -> IntArray:
     """Return (k,): how many sightings of the same group come before each pass."""
     order = np.argsort(group, kind="stable")
     running = np.cumsum(count[order]) - count[order]
@@ -273,7 +275,7 @@ def _before(count: IntArray, group: IntArray) -> IntArray:
     return result
 
 
-def _filled(passes: _Passes, options: SelectionOptions) -> tuple[int, BoolArray]:
+def _fill_to_limit(passes: _SunPasses, options: SelectionOptions) -> tuple[int, BoolArray]:
     """Return the largest fill with which no more than `most` are used, and which passes it takes."""
     share = options.most_per_epoch / options.most_per_patch
     low, high = 1, options.most_per_patch
@@ -299,16 +301,16 @@ def image_parts(pixels: FloatArray, image_size: tuple[int, int]) -> IntArray:
     """Return (n,) in which of 48 parts of equal area about the middle of an image pixels (n, 2) are."""
     middle = 0.5 * (np.array(image_size) - 1.0)
     across, down = ((pixels - middle) / (0.5 * min(image_size))).T
-    return _parts(np.arctan2(down, across), across**2 + down**2)
+    return _number_parts(np.arctan2(down, across), across**2 + down**2)
 
 
 def sky_parts(directions: FloatArray) -> IntArray:
     """Return (n,) in which of 48 parts of equal area of the sky directions (n, 3) are."""
     east, north, up = directions.T
-    return _parts(np.arctan2(east, north), 1.0 - up)
+    return _number_parts(np.arctan2(east, north), 1.0 - up)
 
 
-def _parts(angle: FloatArray, area: FloatArray) -> IntArray:
+def _number_parts(angle: FloatArray, area: FloatArray) -> IntArray:
     """Return the number of sector and ring of angles, rad, and of the share of the area within, 0 to 1."""
     sector = np.floor((angle / (2.0 * np.pi) % 1.0) * _SECTORS).astype(np.int64) % _SECTORS
     return np.asarray(_RINGS * sector + np.clip(np.floor(_RINGS * area), 0, _RINGS - 1).astype(np.int64))

@@ -86,7 +86,7 @@ def calibrate_with_prior(
     start = pose.stated_calibration(job, prior, covariance=basis @ basis.T, field=field)
     sightings = pose.assign_noise(usable, points, start)
     turned_rad = None if tolerances.pose_deg is None else math.radians(tolerances.pose_deg)
-    distance = _distance(start, sightings, turned_rad)
+    distance = _median_distance_from_prior(start, sightings, turned_rad)
     if distance > _FURTHEST:
         return refused(job, (_contradiction_finding(distance, _FURTHEST),))
     fit = pose.fit_pose(start, sightings, turned_rad=turned_rad)
@@ -118,7 +118,7 @@ def whitened_basis(prior: Camera, tolerances: PriorTolerances) -> FloatArray:
     return result
 
 
-def _distance(start: Calibration, sightings: Sightings, turned_rad: float | None) -> float:
+def _median_distance_from_prior(start: Calibration, sightings: Sightings, turned_rad: float | None) -> float:
     """Return the median distance of sightings from where the prior images the sun, in its sigmas and theirs; per axis.
 
     0 where the pose is not known.

@@ -78,7 +78,7 @@ def daily_rotations(day: FloatArray, *, observed: FloatArray, expected: FloatArr
     known = np.isfinite(observed).all(axis=-1) & np.isfinite(expected).all(axis=-1)
     for one in np.unique(day[known]).tolist():
         of_day = known & (day == one)
-        rotation = _rotation(observed[of_day], expected[of_day])
+        rotation = _fit_rotation(observed[of_day], expected[of_day])
         if rotation is not None:
             days.append(one)
             found.append(rotation)
@@ -89,7 +89,7 @@ def daily_rotations(day: FloatArray, *, observed: FloatArray, expected: FloatArr
     )
 
 
-def _rotation(observed: FloatArray, expected: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+def _fit_rotation(observed: FloatArray, expected: FloatArray) -> tuple[FloatArray, FloatArray] | None:
     """Return the rotation (3,) that takes `observed` to `expected`, degrees, and its covariance; None of too few.
 
     Wahba's problem with Tukey's weights, again and again.
@@ -137,8 +137,8 @@ def find_change(days: DailyRotations) -> tuple[PoseChange, bool] | None:
     n = len(days.day)
     if n < _FEWEST_BEFORE + _FEWEST_AFTER:
         return None
-    tried = _changes(days.day)
-    axes, fits = _fitted(days, tried.progress)
+    tried = _list_tried_changes(days.day)
+    axes, fits = _fit_changes(days, tried.progress)
     gain = np.sum([fit.gain for fit in fits], axis=0)
 
     def change(of_kind: BoolArray) -> PoseChange:
@@ -150,7 +150,7 @@ def find_change(days: DailyRotations) -> tuple[PoseChange, bool] | None:
             bracket=(float(days.day[first - 1]), day) if settling == 0.0 else (day, float(days.day[-1])),
             settling=settling,
             cause="moved" if settling == 0.0 else "slow_turn",
-            **_size(axes, fits, best),
+            **_make_size_fields(axes, fits, best),
         )
 
     is_step = tried.settling_days == 0.0
@@ -168,8 +168,8 @@ def as_shown(days: DailyRotations, change: PoseChange) -> PoseChange | None:
     n_before = int(np.searchsorted(days.day, change.time))
     if min(n_before, len(days.day) - n_before) < _FEWEST_AFTER:
         return None
-    axes, fits = _fitted(days, change.progress(days.day)[:, None])
-    return replace(change, **_size(axes, fits, 0), slower=None)
+    axes, fits = _fit_changes(days, change.progress(days.day)[:, None])
+    return replace(change, **_make_size_fields(axes, fits, 0), slower=None)
 
 
 def step_gains(days: DailyRotations) -> FloatArray:
@@ -186,13 +186,13 @@ def step_gains(days: DailyRotations) -> FloatArray:
         some = picked(days, slice(first, first + _WINDOW))
         if len(some.day) > _FEWEST_AFTER:
             steps = np.asarray(some.day[:, None] >= some.day[1:], dtype=np.float64)
-            gain = np.sum([fit.gain for fit in _fitted(some, steps)[1]], axis=0)
+            gain = np.sum([fit.gain for fit in _fit_changes(some, steps)[1]], axis=0)
             rows = slice(first + 1, first + len(some.day))
             gains[rows] = np.maximum(gains[rows], gain)
     return gains
 
 
-class _Changes(NamedTuple):
+class _TriedChanges(NamedTuple):
     """Of each change that is tried: the index of its first day, its time constant, and (n, c) its progress."""
 
     first: IntArray
@@ -200,14 +200,14 @@ class _Changes(NamedTuple):
     progress: FloatArray
 
 
-def _changes(day: FloatArray) -> _Changes:
+def _list_tried_changes(day: FloatArray) -> _TriedChanges:
     """Return steps, and turns that begin on every second day from the first on."""
     n = len(day)
     steps = [(first, 0.0) for first in range(_FEWEST_BEFORE, n)]
     turns = [(first, tau) for tau in _SETTLING_DAYS for first in range(0, n - _FEWEST_AFTER + 1, 2)]
     first, settling = (np.array(column) for column in zip(*steps, *turns, strict=True))
     shares = [progress(day, float(day[k]), float(day[-1]), tau) for k, tau in (*steps, *turns)]
-    return _Changes(first, settling, np.array(shares).T)
+    return _TriedChanges(first, settling, np.array(shares).T)
 
 
 class _Fits(NamedTuple):
@@ -218,15 +218,15 @@ class _Fits(NamedTuple):
     variance: FloatArray
 
 
-def _fitted(days: DailyRotations, progress: FloatArray) -> tuple[FloatArray, list[_Fits]]:
+def _fit_changes(days: DailyRotations, progress: FloatArray) -> tuple[FloatArray, list[_Fits]]:
     """Return the principal axes (3, 3) of the stated covariance, about which components err alone, and their fits."""
     axes = np.linalg.eigh(days.covariance_deg2.mean(axis=0))[1]
-    rotations = _limited(days.rotation_deg @ axes)
+    rotations = _limit_outlying_days(days.rotation_deg @ axes)
     variances = np.einsum("ij,nik,kj->nj", axes, days.covariance_deg2, axes)
-    return axes, [_component(days.day, rotations[:, j], variances[:, j], progress) for j in range(3)]
+    return axes, [_fit_component(days.day, rotations[:, j], variances[:, j], progress) for j in range(3)]
 
 
-def _component(day: FloatArray, rotation: FloatArray, variance: FloatArray, progress: FloatArray) -> _Fits:
+def _fit_component(day: FloatArray, rotation: FloatArray, variance: FloatArray, progress: FloatArray) -> _Fits:
     """Return the gain of each change, by generalised least squares for each size of walk."""
     n = len(day)
     walk = np.minimum.outer(day - day[0], day - day[0])
@@ -252,7 +252,7 @@ def _component(day: FloatArray, rotation: FloatArray, variance: FloatArray, prog
     return _Fits(gain, np.array(sizes)[best, column], np.array(spreads)[best, column])
 
 
-def _size(axes: FloatArray, fits: list[_Fits], number: int) -> dict[str, Any]:
+def _make_size_fields(axes: FloatArray, fits: list[_Fits], number: int) -> dict[str, Any]:
     """Return size, covariance and gain of one of the changes that were fitted, by name."""
     return {
         "rotation_deg": axes @ np.array([fit.size[number] for fit in fits]),
@@ -261,7 +261,7 @@ def _size(axes: FloatArray, fits: list[_Fits], number: int) -> dict[str, Any]:
     }
 
 
-def _limited(rotations: FloatArray) -> FloatArray:
+def _limit_outlying_days(rotations: FloatArray) -> FloatArray:
     """Return (n, 3) with single days that stand off from those about them moved near; a step stays as it is."""
     half = _NEAR // 2
     padded = np.pad(rotations, ((half, half), (0, 0)), mode="edge")

@@ -144,7 +144,7 @@ def _noise_beside_neighbours(pixels: FloatArray, angle: FloatArray) -> float:
     return robust_sigma(np.hypot(off[:, 0], off[:, 1]) / scale, share=0.5, floor=_LEAST_NOISE_PX)
 
 
-class _Linear(NamedTuple):
+class _LinearProblem(NamedTuple):
     """Whitened residuals of n sightings and their derivatives; columns have unit prior variance."""
 
     values: FloatArray
@@ -182,7 +182,7 @@ def change_within(points: Sightings, camera: Camera, site: Site, noise_px: Float
     camera, site : see there.
     noise_px : (n,) see `estimate_daily_noise`.
     """
-    linear, index = _seen(points, camera, site, noise_px)
+    linear, index = _make_problem_of_seen(points, camera, site, noise_px)
     if linear is None:
         return None
     none = step_evidences(linear.values, linear.common, linear.common[..., :0])[0]
@@ -215,16 +215,18 @@ def is_lens_change(sides: Sequence[tuple[Sightings, Camera, FloatArray]], site: 
         each camera is linear about the sightings of its own.
     site : where the camera stands.
     """
-    first, second = (_seen(points, camera, site, noise_px)[0] for points, camera, noise_px in sides)
+    first, second = (_make_problem_of_seen(points, camera, site, noise_px)[0] for points, camera, noise_px in sides)
     if first is None or second is None:
         return None
-    both = _Linear(*(np.concatenate(pair) for pair in zip(first, second, strict=True)))
+    both = _LinearProblem(*(np.concatenate(pair) for pair in zip(first, second, strict=True)))
     after = (np.arange(len(both.values)) >= len(first.values))[:, None, None]
     moved, lens = (both.explained(both.step(one) * after).log_evidence for one in _OF_POSE_OR_LENS)
     return None if abs(lens - moved) <= _LENS_AMONG_CHANGES else lens > moved
 
 
-def _seen(points: Sightings, camera: Camera, site: Site, noise_px: FloatArray) -> tuple[_Linear | None, IntArray]:
+def _make_problem_of_seen(
+    points: Sightings, camera: Camera, site: Site, noise_px: FloatArray
+) -> tuple[_LinearProblem | None, IntArray]:
     """Return the linear problem of the sightings that a camera sees, and their rows; None of too few."""
     predicted = project_fast(camera, sun_directions(points.unix_s, site))
     index = np.flatnonzero(np.all(np.isfinite(predicted), axis=-1))
@@ -232,7 +234,7 @@ def _seen(points: Sightings, camera: Camera, site: Site, noise_px: FloatArray) -
         return None, index
     some = points.select(index)
     residual = some.pixels - predicted[index]
-    return _linear(some, camera, residual, _raise_gross_noise(residual, noise_px[index]), site=site), index
+    return _linearise(some, camera, residual, _raise_gross_noise(residual, noise_px[index]), site=site), index
 
 
 def drift_within(
@@ -255,7 +257,7 @@ def drift_within(
     noise_px : (n,) see `estimate_daily_noise`.
     changes : the first sighting after each change that was found among them, and its cause.
     """
-    linear, index = _seen(points, camera, site, noise_px)
+    linear, index = _make_problem_of_seen(points, camera, site, noise_px)
     if linear is None or not _are_near_predictions(camera, points, site, [row for row, _ in changes]):
         return None
     times = points.unix_s[index]
@@ -264,7 +266,7 @@ def drift_within(
     none = linear.explained().log_evidence
     found = dict[bool, float]()
     for clock, turns in ((True, linear.turns @ pole_enu(site)[:, None]), (False, linear.turns)):
-        each = [linear.explained(_drifting(one * turns, along)).log_evidence for one in _DRIFT_DEG]
+        each = [linear.explained(_drift_columns(one * turns, along)).log_evidence for one in _DRIFT_DEG]
         found[clock] = float(np.logaddexp.reduce(each)) - math.log(len(each)) - none
     gain = max(found.values())
     if changes:
@@ -275,7 +277,7 @@ def drift_within(
         if gain - EPOCHS.gain < steps.log_evidence - none - rarer:
             return None
     middle = _DRIFT_DEG[len(_DRIFT_DEG) // 2]
-    turn = linear.explained(_drifting(middle * linear.turns, along))
+    turn = linear.explained(_drift_columns(middle * linear.turns, along))
     rotation_deg = 2.0 * middle * turn.mean[:N_TURN]  # at the end; twice that from the first
     clock, days = found[True] >= found[False] - 1.0, 2.0 * half_s / DAY_S
     turn_deg = float(rotation_deg @ pole_enu(site)) if clock else float(np.linalg.norm(rotation_deg))
@@ -304,7 +306,7 @@ def _are_near_predictions(camera: Camera, points: Sightings, site: Site, begins:
     return all(float(np.median(part)) < _ONE_VIEW * camera.focal_length_px[0] for part in parts if part.size)
 
 
-def _drifting(turns: FloatArray, along: FloatArray) -> FloatArray:
+def _drift_columns(turns: FloatArray, along: FloatArray) -> FloatArray:
     """Return the columns of a drift that is steady, and of one that begins or ends, by times (n, 1, 1) from -1 to 1."""
     return np.concatenate([turns * along, 0.5 * turns * (along**2 - 1.0 / 3.0)], axis=-1)
 
@@ -315,7 +317,9 @@ def _raise_gross_noise(residual: FloatArray, noise_px: FloatArray) -> FloatArray
     return np.asarray(noise_px * np.maximum(beside / (2.0 * _GROSS_SIGMAS), 1.0) ** 2)
 
 
-def _linear(points: Sightings, camera: Camera, residual: FloatArray, noise_px: FloatArray, *, site: Site) -> _Linear:
+def _linearise(
+    points: Sightings, camera: Camera, residual: FloatArray, noise_px: FloatArray, *, site: Site
+) -> _LinearProblem:
     """Return the linear problem of residuals (n, 2) of noise (n,)."""
     directions = sun_directions(points.unix_s, site)
     rows = project_with_rows_fast(camera, directions)[1]
@@ -325,7 +329,7 @@ def _linear(points: Sightings, camera: Camera, residual: FloatArray, noise_px: F
     _, member, count = np.unique(alike, return_inverse=True, return_counts=True)
     misfit = max(_MISFIT_PX, _MISFIT_SHARE * float(np.median(noise_px)))
     root = 1.0 / np.sqrt(noise_px**2 + count[member] * misfit**2)[:, None, None]
-    return _Linear(
+    return _LinearProblem(
         values=residual * root[..., 0],
         turns=turns * root,
         lens=rows[..., _LENS] @ lens_freedom(camera, _LENS, _CHANGED, EPOCHS) * root,

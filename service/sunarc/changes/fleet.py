@@ -54,7 +54,7 @@ def explain_step(step: PoseChange, *, before: Site, after: Site) -> tuple[PoseCh
     The step, or the slow turn in its place, with its cause.
     """
     changes = [step] if step.slower is None else [step, step.slower]
-    weighed = [one for change in changes for one in _explanations(change, before, after)]
+    weighed = [one for change in changes for one in _list_explanations(change, before, after)]
     best = most_probable(weighed).explanation
     of_cause = [one.log_evidence - one.rarer for one in weighed if one.explanation.cause == best.cause]
     other_evidence = [one.log_evidence - one.rarer for one in weighed if one.explanation.cause != best.cause]
@@ -69,8 +69,8 @@ def step_sizes(change: PoseChange, site: Site) -> dict[str, float]:
     `north_deg`: by how much the camera turned about the vertical, counter-clockwise as seen from above.
     """
     information = np.asarray(np.linalg.inv(change.covariance_deg2), dtype=np.float64)
-    pole, pole_sigma = _about(change.rotation_deg, information, pole_enu(site))
-    north, north_sigma = _about(change.rotation_deg, information, _UP)
+    pole, pole_sigma = _rotation_about_axis(change.rotation_deg, information, pole_enu(site))
+    north, north_sigma = _rotation_about_axis(change.rotation_deg, information, _UP)
     return {
         "clock_s": -SECONDS_PER_DEGREE * pole,
         "clock_sigma_s": SECONDS_PER_DEGREE * pole_sigma,
@@ -81,7 +81,7 @@ def step_sizes(change: PoseChange, site: Site) -> dict[str, float]:
     }
 
 
-def _explanations(change: PoseChange, before: Site, after: Site) -> list[Weighed[PoseChange]]:
+def _list_explanations(change: PoseChange, before: Site, after: Site) -> list[Weighed[PoseChange]]:
     """Return the possible causes of a change: a rotation about any axis, or about one that names the cause."""
     size = change.rotation_deg
 
@@ -108,7 +108,7 @@ def _explanations(change: PoseChange, before: Site, after: Site) -> list[Weighed
     return found
 
 
-def _about(size: FloatArray, information: FloatArray, axis: FloatArray) -> tuple[float, float]:
+def _rotation_about_axis(size: FloatArray, information: FloatArray, axis: FloatArray) -> tuple[float, float]:
     """Return the rotation about an axis that comes nearest, and its 1-sigma."""
     weight = float(axis @ information @ axis)
     return float(axis @ information @ size) / weight, weight**-0.5
@@ -129,7 +129,7 @@ def find_steps(cameras: Sequence[DailyRotations]) -> tuple[PoseChange | None, ..
     remaining = list(cameras)
     for _ in cameras:
         steps = {
-            number: find_change(_beside_others(remaining, number))
+            number: find_change(_subtract_mean_of_others(remaining, number))
             for number in range(len(cameras))
             if found[number] is None
         }
@@ -139,7 +139,7 @@ def find_steps(cameras: Sequence[DailyRotations]) -> tuple[PoseChange | None, ..
         # by size, which the others show divided by their number; gains are near one another where days are precise
         first = max(clear, key=lambda number: clear[number][0].likeliest.turn_deg)
         found[first] = clear[first]
-        remaining[first] = _without(remaining[first], clear[first][0])
+        remaining[first] = _remove_step(remaining[first], clear[first][0])
     return tuple(None if one is None or one[1] else one[0] for one in found)
 
 
@@ -153,7 +153,7 @@ def agreeing(cameras: Sequence[DailyRotations], number: int, change: PoseChange)
     change = change.likeliest
     weighed = np.linalg.solve(change.covariance_deg2, change.rotation_deg)
     for one in [other for k, other in enumerate(cameras) if k != number]:
-        shown = as_shown(_difference(cameras[number], one), change)
+        shown = as_shown(_subtract_rotations(cameras[number], one), change)
         if shown is not None:
             share = float(weighed @ shown.rotation_deg) / float(weighed @ change.rotation_deg)
             n_shown += abs(share - 1.0) < _SHARE and shown.gain > _LEAST_SHOWN
@@ -161,7 +161,7 @@ def agreeing(cameras: Sequence[DailyRotations], number: int, change: PoseChange)
     return n_shown if 2 * n_shown > n_compared + 1 else 0
 
 
-def _difference(one: DailyRotations, other: DailyRotations) -> DailyRotations:
+def _subtract_rotations(one: DailyRotations, other: DailyRotations) -> DailyRotations:
     """Return by how much more one camera stood turned than another, on the days that both show."""
     day, here, there = np.intersect1d(one.day, other.day, return_indices=True)
     return DailyRotations(
@@ -171,12 +171,12 @@ def _difference(one: DailyRotations, other: DailyRotations) -> DailyRotations:
     )
 
 
-def _without(one: DailyRotations, step: PoseChange) -> DailyRotations:
+def _remove_step(one: DailyRotations, step: PoseChange) -> DailyRotations:
     step = step.likeliest
     return replace(one, rotation_deg=one.rotation_deg - step.progress(one.day)[:, None] * step.rotation_deg)
 
 
-def _beside_others(cameras: Sequence[DailyRotations], number: int) -> DailyRotations:
+def _subtract_mean_of_others(cameras: Sequence[DailyRotations], number: int) -> DailyRotations:
     """Return a camera's rotations less the mean, on each day, of the others' differences from their own medians.
 
     Days that none of the others shows are left out: between corrected days they would stand off by what is common.

@@ -196,10 +196,10 @@ def best_hypothesis(
     """
     nothing = fit_inlier_mixture(window.covariance, window.sightings, window.watch.trusted)
     best = best_rotations(window, small=small, least=_LEAST_AGREEING)
-    best = best or _lens_alone(window)
+    best = best or _lens_hypotheses_alone(window)
     if not best:
         return None
-    rivals = _rivals(window, best[0], site, posed_from_few=posed_from_few)
+    rivals = _list_rivals(window, best[0], site, posed_from_few=posed_from_few)
     weighed = [Weighed(one, one.evidence, rarity(one.of.kind, clock_stepped=clock_stepped)) for one in rivals]
     selected = most_probable([Weighed(best[0], best[0].evidence), *weighed]).explanation
     gain = selected.evidence - nothing.log_evidence
@@ -228,20 +228,20 @@ def best_rotations(window: ResidualModel, *, small: bool, least: int) -> list[Sc
     recent = range(max(n - _RECENT, 0), n - least + 1)
     coarse = sorted({*recent, *range(0, max(n - _RECENT, 0), _STRIDE)})
     starts = coarse if small else [k for k in range(n - least + 1) if not window.watch.trusted[k]]
-    candidates = _rotations(window, starts, least=least)
+    candidates = _find_rotations(window, starts, least=least)
     if candidates and small:
         best = candidates[0].of.first
         near = range(max(best - _STRIDE, 0), min(best + _STRIDE, n - least) + 1)
-        candidates += _rotations(window, [k for k in near if k not in starts], least=least)
+        candidates += _find_rotations(window, [k for k in near if k not in starts], least=least)
     return sorted(candidates, key=lambda rotation: -rotation.evidence)
 
 
-def _rotations(window: ResidualModel, starts: list[int], *, least: int) -> list[ScoredHypothesis]:
+def _find_rotations(window: ResidualModel, starts: list[int], *, least: int) -> list[ScoredHypothesis]:
     found = [rotation_from(window, first, least=least) for first in starts]
     return sorted((rotation for rotation in found if rotation is not None), key=lambda rotation: -rotation.evidence)
 
 
-def _weigh(window: ResidualModel, explanation: Hypothesis) -> ScoredHypothesis:
+def _score_hypothesis(window: ResidualModel, explanation: Hypothesis) -> ScoredHypothesis:
     """Return an explanation with its evidence."""
     before = np.arange(explanation.first)
     after = predicted(window.error_model, explanation.camera, explanation.sightings.directions)
@@ -267,7 +267,7 @@ def rotation_from(window: ResidualModel, first: int, *, least: int) -> ScoredHyp
     turn = _agreed_turn(window, first, tolerance)
     misfit = finite(turn.sightings.pixels - project_fast(turn.camera, turn.sightings.directions))
     agree = np.linalg.norm(misfit, axis=-1) < _CLOSE * tolerance
-    return _weigh(window, turn) if np.sum(agree) >= least else None
+    return _score_hypothesis(window, turn) if np.sum(agree) >= least else None
 
 
 def _agreed_turn(window: ResidualModel, first: int, tolerance_px: FloatArray) -> Hypothesis:
@@ -295,21 +295,21 @@ def rotation_hypothesis(
     )
 
 
-def _rivals(
+def _list_rivals(
     window: ResidualModel, best: ScoredHypothesis, site: Site, *, posed_from_few: bool
 ) -> list[ScoredHypothesis]:
     """Return the other explanations of the part that the best turn explains."""
     still = rotation_hypothesis(window, best.of.first, np.zeros(3), np.zeros((3, 0)), kind="bump")
     others = [
         clock_hypothesis(window, best, site),
-        *_flips(window, site, best.of.first),
+        *_list_flips(window, site, best.of.first),
         lens_hypothesis(window, best.of),
     ]
     others += [lens_hypothesis(window, still, kind=kind) for kind in ("refocus", "shift")]
     complete = rotation_from(window, 0, least=_FEW) if posed_from_few and best.of.first > 0 else None
     if complete is not None:
         others += [lens_hypothesis(window, complete.of, kind=kind) for kind in OF_LENS]
-    return [_weigh(window, other) for other in others]
+    return [_score_hypothesis(window, other) for other in others]
 
 
 def clock_hypothesis(window: ResidualModel, best: ScoredHypothesis, site: Site) -> Hypothesis:
@@ -321,7 +321,7 @@ def clock_hypothesis(window: ResidualModel, best: ScoredHypothesis, site: Site) 
     return rotation_hypothesis(window, best.of.first, rotation, size * pole[:, None], kind="clock")
 
 
-def _flips(window: ResidualModel, site: Site, first: int) -> list[Hypothesis]:
+def _list_flips(window: ResidualModel, site: Site, first: int) -> list[Hypothesis]:
     """Return the explanations without any free number: a mirrored image, a site with a wrong sign."""
     watch, size = window.watch.select(slice(first, None)), window.error_model.mean.size
     plain = Hypothesis(
@@ -353,14 +353,14 @@ def lens_hypothesis(window: ResidualModel, rotation: Hypothesis, *, kind: Change
     return replace(rotation, kind=kind, free=np.concatenate([rotation.free, columns], axis=1))
 
 
-def _lens_alone(window: ResidualModel) -> list[ScoredHypothesis]:
+def _lens_hypotheses_alone(window: ResidualModel) -> list[ScoredHypothesis]:
     """Return a change of the lens where nothing has agreed for long, and no turn explains it."""
     late = window.watch.trusted[-_LONG:]
     if late.size < _LONG or np.any(late):
         return []
     first = int(np.flatnonzero(window.watch.trusted)[-1]) + 1 if np.any(window.watch.trusted) else 0
     turn = _agreed_turn(window, first, np.full(len(window.watch) - first, _ROUGH_PX))
-    return [_weigh(window, lens_hypothesis(window, turn))]
+    return [_score_hypothesis(window, lens_hypothesis(window, turn))]
 
 
 def rarity(kind: ChangeKind, *, clock_stepped: bool | None) -> float:
@@ -412,7 +412,7 @@ def drift_evidence(window: ResidualModel, first: int) -> float:
     begins = {max(first - back, 0) for back in _ONSETS_BACK}
     # the episode need not begin with the change: the change may count sightings before it as false
     begins |= find_run_starts(untrusted) | find_run_starts(untrusted[untrusted <= first])
-    drifts = tuple(_drifts(begins))
+    drifts = tuple(_list_drifts(begins))
     reached = [
         log_evidence(drift_covariance(window, drift), window.sightings, inliers_from(window, drift.begin))
         for drift in drifts
@@ -424,7 +424,7 @@ def drift_evidence(window: ResidualModel, first: int) -> float:
     return float(np.logaddexp.reduce(reached)) - math.log(len(reached)) + max(among_false - best, 0.0)
 
 
-def _drifts(begins: Iterable[int]) -> Iterator[Drift]:
+def _list_drifts(begins: Iterable[int]) -> Iterator[Drift]:
     """Yield the drifts that are averaged over, all equally likely."""
     for begin in sorted(begins):
         for amplitude_px, time_s in itertools.product(_AMPLITUDES_PX, _TIMES_S):
@@ -491,9 +491,15 @@ def describe_change(
     first, times = explanation.first, window.watch.unix_s
     sure = first + int(np.argmax(mixture.inlier[first:]))
     early, late = min([first, *alike]), max([sure, *alike])
-    size, sigma, rotation_deg, covariance_deg2 = _sizes(window, explanation, mixture)
+    size, sigma, rotation_deg, covariance_deg2 = _measure_change(window, explanation, mixture)
     agreeing, of = int(mixture.inlier[first:].sum()), len(window.watch) - first
-    data: Data = {"size": size, "sigma": sigma, "agreeing": agreeing, "of": of, "alternatives": _alternatives(perhaps)}
+    data: Data = {
+        "size": size,
+        "sigma": sigma,
+        "agreeing": agreeing,
+        "of": of,
+        "alternatives": _format_alternatives(perhaps),
+    }
     return PoseChange(
         time=float(times[sure]),
         bracket=(float(times[max(early - 1, 0)]), float(times[late])),
@@ -535,11 +541,11 @@ def change_details(change: PoseChange) -> dict[str, Any]:
     }
 
 
-def _alternatives(perhaps: tuple[ChangeKind, ...]) -> str:
+def _format_alternatives(perhaps: tuple[ChangeKind, ...]) -> str:
     return f" (or {', or '.join(_PERHAPS[kind] for kind in perhaps)}: cannot be distinguished yet)" if perhaps else ""
 
 
-def _sizes(
+def _measure_change(
     window: ResidualModel, explanation: Hypothesis, mixture: MixtureFit
 ) -> tuple[float, float, FloatArray, FloatArray]:
     """Return the size of a change in its unit and its 1-sigma, the turn (3,) about east, north and up, its covariance.
@@ -550,7 +556,7 @@ def _sizes(
     still = 0.0, 0.0, np.zeros(3), np.zeros((3, 3))
     if kind not in ("bump", "clock", "refocus", "shift") or not {Param.FOCAL_LENGTH_X_PX, *CENTER} <= set(names):
         return still
-    after = _after(window, explanation, mixture)
+    after = _condition_on_agreeing(window, explanation, mixture)
     change = after.mean.copy()
     change[rotation] -= explanation.mean[rotation]
     axis, unit = np.zeros(change.size), 1.0
@@ -569,7 +575,7 @@ def _sizes(
     return unit * float(axis @ change), abs(unit) * sigma, to_enu @ change[rotation], covariance
 
 
-def _after(window: ResidualModel, explanation: Hypothesis, mixture: MixtureFit) -> CameraErrorModel:
+def _condition_on_agreeing(window: ResidualModel, explanation: Hypothesis, mixture: MixtureFit) -> CameraErrorModel:
     """Return the error model of the hypothesis's camera, conditioned on the sightings that agree with it."""
     free = explanation.free
     before = replace(
@@ -619,7 +625,7 @@ def update_window(
     window = make_residual_model(
         before.append_sighting(sighting, trusted=True, surprise=np.zeros(2)), calibration, options
     )
-    surprise = _surprise(window)
+    surprise = _whitened_surprise(window)
     trusted = bool(surprise @ surprise < _TRUSTED_SQUARE)
     grown = before.append_sighting(sighting, trusted=trusted, surprise=surprise if trusted else np.zeros(2))
     one_sided = biased(grown)
@@ -644,7 +650,7 @@ def distrusted(watch: SightingWindow) -> bool:
     return not watch.trusted[-1] and int(np.sum(~late)) >= _DISTRUSTED
 
 
-def _surprise(window: ResidualModel) -> FloatArray:
+def _whitened_surprise(window: ResidualModel) -> FloatArray:
     """Return (2,): the distance of the last sighting from its prediction by the trusted ones before, whitened."""
     trusted_axes = np.repeat(window.watch.trusted, 2)
     trusted_axes[-2:] = False

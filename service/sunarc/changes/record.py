@@ -110,14 +110,14 @@ def _add_one_move(
     points: Sightings, usable: Sightings, solved: Calibration, fit: _Fit
 ) -> tuple[Moved, int, float] | None:
     """Return the fit with one move more, its row and its gain; None where none makes it clearly better."""
-    residual = _residuals(solved, usable)
+    residual = _residuals_by_lens(solved, usable)
     tried = []
     for suggested, smallest_deg in (*jumps_within_days(residual, usable), *night_changes(residual, usable)):
-        found = _parted_at(suggested, points, usable, solved.camera, fit)
+        found = _fit_with_move_at(suggested, points, usable, solved.camera, fit)
         if found is None:
             continue
         numbered = replace(usable, epoch=found.points.epoch[usable.index])
-        there = _residuals(found.calibration, numbered)
+        there = _residuals_by_lens(found.calibration, numbered)
         row = int(np.flatnonzero(numbered.epoch != usable.epoch)[0])
         ended = int(usable.epoch[row])
         turn_rad = rotation_between(*found.calibration.poses[ended : ended + 2])
@@ -126,15 +126,15 @@ def _add_one_move(
             tried.append((gain, row, turn_rad, there, found))
     for _, row, turn_rad, there, found in sorted(tried, key=lambda item: -item[0]):
         ended = int(usable.epoch[row])
-        one = _lens_in(solved, solved.poses[ended]), residual
-        two = _lens_in(found.calibration, found.calibration.poses[ended + 1]), there
+        one = _camera_in_pose(solved, solved.poses[ended]), residual
+        two = _camera_in_pose(found.calibration, found.calibration.poses[ended + 1]), there
         gain = log_bayes_factor(row, usable, one=one, two=two, turn_rad=turn_rad)
         if gain > RECORD.gain:
             return found, row, gain
     return None
 
 
-def _parted_at(row: int, points: Sightings, usable: Sightings, begin: Camera, fit: _Fit) -> Moved | None:
+def _fit_with_move_at(row: int, points: Sightings, usable: Sightings, begin: Camera, fit: _Fit) -> Moved | None:
     """Return the fit with a move just before a row, or before one of the next ones where the two poses say so."""
     for _ in range(2):
         parted = replace(points, epoch=points.epoch + (points.unix_s >= usable.unix_s[row]))
@@ -146,7 +146,7 @@ def _parted_at(row: int, points: Sightings, usable: Sightings, begin: Camera, fi
         if fitted.evidence.n_used == 0:
             return None  # refused before a pose of either side was there
         first = int(usable.epoch[row])
-        cameras = [_lens_in(fitted, pose) for pose in fitted.poses[first:]]
+        cameras = [_camera_in_pose(fitted, pose) for pose in fitted.poses[first:]]
         better = best_row(slice(max(row - _SIDE // 2, 0), row + _SIDE // 2), usable, cameras)
         if better == row:
             break
@@ -171,12 +171,12 @@ def best_row(near: slice, usable: Sightings, cameras: Sequence[Camera]) -> int:
     return int(near.start + np.argmin(wrong))
 
 
-def _lens_in(solved: Calibration, pose: tuple[float, float, float]) -> Camera:
+def _camera_in_pose(solved: Calibration, pose: tuple[float, float, float]) -> Camera:
     """Return the camera in a pose, without its displacement: a field takes up a part of a move within the sightings."""
     return replace(solved.camera, rotation_cam_enu=pose, displacement=None)
 
 
-def _residuals(solved: Calibration, usable: Sightings) -> FloatArray:
+def _residuals_by_lens(solved: Calibration, usable: Sightings) -> FloatArray:
     """Return observed minus predicted by the lens alone, (n, 2) px; far off outside the camera's field."""
     return finite(residuals_by_pose(replace(solved.camera, displacement=None), solved.poses, usable))
 
@@ -342,21 +342,21 @@ class StepSearch(NamedTuple):
         stated = options_as_served(self.options, lens)
         if stated != self.options:
             return self._replace(options=stated).steps(points, lens)
-        thin, day = _thinned(points, self.site)
+        thin, day = _thin_by_day(points, self.site)
         days = np.unique(day)
         if days.size <= 2 * _BESIDE:
             spans = [(days[0], days[-1])] if days.size else []
         else:
             if lens is None:
-                lens = self._lens(thin, day, days)
+                lens = self._fit_steadiest_days(thin, day, days)
                 return [] if lens is None else self.steps(points, lens)
-            spans = step_spans(self._daily(thin, day, lens))
+            spans = step_spans(self._measure_daily_rotations(thin, day, lens))
         found: list[PoseChange] = []
         for first, last in spans:
             found += self._verified(points, thin.select((day >= first) & (day <= last)))
         return distinct_steps(found)
 
-    def _lens(self, thin: Sightings, day: IntArray, days: IntArray) -> Calibration | None:
+    def _fit_steadiest_days(self, thin: Sightings, day: IntArray, days: IntArray) -> Calibration | None:
         """Return the fit of a few days that scatters least; a step within them makes it scatter."""
         fits = []
         for begin in np.unique(np.linspace(0, days.size - _LENS_DAYS, _LENS_TRIALS).astype(int)):
@@ -366,7 +366,7 @@ class StepSearch(NamedTuple):
                 fits.append((solved.metrics.rmse_px, solved.evidence.n_rejected, solved))
         return min(fits, key=lambda item: item[:2])[2] if fits else None
 
-    def _daily(self, thin: Sightings, day: IntArray, lens: Calibration) -> DailyRotations:
+    def _measure_daily_rotations(self, thin: Sightings, day: IntArray, lens: Calibration) -> DailyRotations:
         """Return the rotation of each day, the lens's errors allowed for: another focus is no rotation."""
         of_days = [
             daily_pose_offset(thin.select(day == one), calibration=lens, site=self.site) for one in np.unique(day)
@@ -381,11 +381,11 @@ class StepSearch(NamedTuple):
         for move in reversed(solved.evidence.moves):
             before = pose_before(pose, move.rotation_deg)
             cameras = [replace(solved.camera, rotation_cam_enu=one) for one in (before, pose)]
-            found.append(self._dated(move, points, cameras))
+            found.append(self._date_step(move, points, cameras))
             pose = before
         return found[::-1]
 
-    def _dated(self, move: PoseChange, points: Sightings, cameras: Sequence[Camera]) -> PoseChange:
+    def _date_step(self, move: PoseChange, points: Sightings, cameras: Sequence[Camera]) -> PoseChange:
         """Return the step between the sightings of the whole record that it came between."""
         near = (points.unix_s >= move.bracket[0]) & (points.unix_s <= move.bracket[1])
         usable = filter_sightings(points.select(near), site=self.site)
@@ -394,7 +394,7 @@ class StepSearch(NamedTuple):
         return replace(move, time=after, bracket=(before, after))
 
 
-def _thinned(points: Sightings, site: Site) -> tuple[Sightings, IntArray]:
+def _thin_by_day(points: Sightings, site: Site) -> tuple[Sightings, IntArray]:
     """Return some of each day's usable sightings, in the order of time, and the solar day of each."""
     usable = filter_sightings(points, site=site)
     retained = []
@@ -452,10 +452,10 @@ def calibrate_with_lens(
     if solved.verdict.accepted:
         return Moved(apply_lens_prior(solved, lens, points=points, options=options), points)
     latest = points.select(np.flatnonzero(points.epoch == points.epoch.max(initial=0)))
-    return Moved(first_pose(latest, lens=lens, site=site, options=options, pose=_usual_pose(options)), latest)
+    return Moved(first_pose(latest, lens=lens, site=site, options=options, pose=_default_pose_prior(options)), latest)
 
 
-def _usual_pose(options: CalibrationOptions) -> FirstPoseOptions:
+def _default_pose_prior(options: CalibrationOptions) -> FirstPoseOptions:
     """Return the prior of the pose where it is not stated: the tilt, by half of the limit of a fit."""
     if options.level_within_deg is None:
         return FirstPoseOptions()

@@ -145,10 +145,10 @@ def log_bayes_factor(
     for (camera, residual), angle_rad in ((one, 0.0), (two, turn_rad)):
         gathered = group_medians(residual[picked], member)
         models.append(
-            StepModel(rows=rows, residual=gathered, derivatives=_derivatives(camera, rows, turn_rad=angle_rad))
+            StepModel(rows=rows, residual=gathered, derivatives=_make_derivatives(camera, rows, turn_rad=angle_rad))
         )
     windows = cloud_windows(rows)
-    without, with_turn = (_best(model, windows) for model in models)
+    without, with_turn = (_maximise_likelihood(model, windows) for model in models)
     return with_turn - without - 1.5  # the turn that was fitted is one 1-sigma of its prior in each axis
 
 
@@ -194,7 +194,7 @@ def step_rows(picked: IntArray, member: IntArray, row: int, usable: Sightings, r
     )
 
 
-def _derivatives(camera: Camera, rows: StepRows, *, turn_rad: float) -> FloatArray:
+def _make_derivatives(camera: Camera, rows: StepRows, *, turn_rad: float) -> FloatArray:
     """Return (n, 2, p): the prediction by lens, pose and (`turn_rad` > 0) step, each of unit prior variance."""
     widest = float(np.clip(camera.max_angle, 0.1, _RIGHT_ANGLE))
     prior = lens_prior(camera, tolerances=LensTolerances(), circle=None, field_angle=widest)
@@ -233,12 +233,12 @@ def cloud_windows(rows: StepRows) -> list[tuple[float, float]]:
     return found
 
 
-def _best(model: StepModel, windows: list[tuple[float, float]]) -> float:
+def _maximise_likelihood(model: StepModel, windows: list[tuple[float, float]]) -> float:
     """Return the largest log likelihood over amplitudes and up to three episodes."""
     amplitudes, best = fitted_amplitudes(model, Amplitudes(), ())
     episodes: tuple[Episode, ...] = ()
     for _ in range(_MOST_EPISODES):
-        tried = [(*episodes, _episode(model, window)) for window in windows]
+        tried = [(*episodes, _make_episode(model, window)) for window in windows]
         values = [model.log_likelihood(amplitudes, some) for some in tried]
         refined = refined_episodes(model, amplitudes, tried[int(np.argmax(values))])
         next_amplitudes, value = fitted_amplitudes(model, amplitudes, refined)
@@ -249,7 +249,7 @@ def _best(model: StepModel, windows: list[tuple[float, float]]) -> float:
     return best
 
 
-def _episode(model: StepModel, window: tuple[float, float]) -> Episode:
+def _make_episode(model: StepModel, window: tuple[float, float]) -> Episode:
     """Return an episode of the amplitude that the residuals have within an interval."""
     inside = (model.rows.unix_s >= window[0]) & (model.rows.unix_s <= window[1])
     size = float(np.median(np.linalg.norm(model.residual[inside], axis=-1))) if np.any(inside) else 0.0

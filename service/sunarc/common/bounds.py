@@ -48,8 +48,8 @@ def require_bounds(options: object, *, section_path: str) -> None:
         Naming `section_path.field`, the value given and what is allowed.
     """
     for name, bounds in declared_bounds(type(options)).items():
-        for value in _values(getattr(options, name)):
-            if not all(_holds(bound, value) for bound in bounds):
+        for value in _list_values(getattr(options, name)):
+            if not all(_is_within(bound, value) for bound in bounds):
                 raise InputError(
                     field=f"{section_path}.{name}".lstrip("."),
                     problem=f"{value!r} is not allowed",
@@ -64,10 +64,10 @@ def declared_bounds(options: type) -> dict[str, tuple[Bound, ...]]:
 
 def bounds_text(bounds: tuple[Bound, ...]) -> str:
     """Return bounds in words, as "above 0 and at most 3600"."""
-    return " and ".join(map(_text, bounds)) or "a finite number"
+    return " and ".join(map(_describe_bound, bounds)) or "a finite number"
 
 
-def _text(bound: Bound) -> str:
+def _describe_bound(bound: Bound) -> str:
     match bound:
         case Gt():
             return f"above {bound.gt:.12g}"
@@ -101,15 +101,15 @@ def _bounds_in(hint: Any) -> Iterator[Bound]:  # noqa: ANN401 - any annotation
         yield from _bounds_in(one)
 
 
-def _values(value: object) -> Iterator[Any]:
+def _list_values(value: object) -> Iterator[Any]:
     if isinstance(value, tuple):
         for item in value:
-            yield from _values(item)
+            yield from _list_values(item)
     elif value is not None:
         yield value
 
 
-def _holds(bound: Bound, value: Any) -> bool:  # noqa: ANN401 - a number, or a choice
+def _is_within(bound: Bound, value: Any) -> bool:  # noqa: ANN401 - a number, or a choice
     if isinstance(bound, OneOf):
         return value in bound.choices
     if not math.isfinite(value):

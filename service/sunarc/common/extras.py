@@ -31,7 +31,7 @@ def extra_module(name: str, *, extra: str) -> Any:  # noqa: ANN401 - a module
         return import_module(name)
     except ModuleNotFoundError as error:
         raise InputError(
-            field=f"extra {extra}", problem=f"{error.name or name} is not installed", remedy=_remedy(extra)
+            field=f"extra {extra}", problem=f"{error.name or name} is not installed", remedy=_describe_remedy(extra)
         ) from None
 
 
@@ -50,20 +50,20 @@ def require_extra(extra: str, *, what: str) -> None:
     """
     if missing := missing_packages(extra):
         problem = f"needs sunarc[{extra}], of which {missing[0]} is not installed"
-        raise InputError(field=what, problem=problem, remedy=_remedy(extra))
+        raise InputError(field=what, problem=problem, remedy=_describe_remedy(extra))
 
 
 def missing_packages(extra: str) -> list[str]:
     """Return the packages of an extra that are not installed."""
     stated = (requirement.split(";") for requirement in requires("sunarc") or () if ";" in requirement)
     names = [_NAME.match(package) for package, condition in stated if condition.strip() == f"extra == '{extra}'"]
-    return [name[0] for name in names if name is not None and not _is_there(name[0])]
+    return [name[0] for name in names if name is not None and not _is_package_installed(name[0])]
 
 
 _NAME = re.compile(r"[\w.-]+")
 
 
-def _is_there(package: str) -> bool:
+def _is_package_installed(package: str) -> bool:
     try:
         distribution(package)
     except PackageNotFoundError:
@@ -71,7 +71,7 @@ def _is_there(package: str) -> bool:
     return True
 
 
-def _remedy(extra: str) -> str:
+def _describe_remedy(extra: str) -> str:
     if not Path(__file__).is_relative_to(_PACKAGED):
         return f"pip install 'sunarc[{extra}]'"
     if extra in PACKED:

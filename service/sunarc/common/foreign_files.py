@@ -83,7 +83,7 @@ def name_text(name: str | os.PathLike[str]) -> str:
     A byte that is not UTF-8, or of a control character, is written as `\xff`; of other names the text is the name.
     """
     text = os.fsencode(name).decode("utf-8", "surrogateescape")
-    return _UNPRINTABLE.sub(lambda found: _escape(found[0]), text)
+    return _UNPRINTABLE.sub(lambda found: _escape_bytes(found[0]), text)
 
 
 def name_path(text: str) -> str:
@@ -91,5 +91,5 @@ def name_path(text: str) -> str:
     return os.fsdecode(_BYTE.sub(lambda found: bytes.fromhex(found[1].decode()), text.encode()))
 
 
-def _escape(character: str) -> str:
+def _escape_bytes(character: str) -> str:
     return "".join(f"\\x{byte:02x}" for byte in character.encode("utf-8", "surrogateescape"))

@@ -34,12 +34,12 @@ class Message(NamedTuple):
 
 def find_message(code: str) -> Message | None:
     """Return the message of a code; None where no installed house has it."""
-    return next((found[code] for found in map(_load_messages, _houses()) if code in found), None)
+    return next((found[code] for found in map(_load_messages, _find_houses()) if code in found), None)
 
 
 def all_messages() -> Iterator[tuple[str, Message]]:
     """Yield the codes of all installed houses with their messages, the library's first."""
-    for house in _houses():
+    for house in _find_houses():
         yield from _load_messages(house).items()
 
 
@@ -67,7 +67,7 @@ def significant(value: float | None, digits: int) -> str:
     return f"{value:.{max(digits - 1 - leading, 0)}f}"
 
 
-class _Words(string.Formatter):
+class _MessageFormatter(string.Formatter):
     """`str.format`, with a count of things as `{n:day}` (1 day, 2 days) and two significant digits as `{x:~2}`."""
 
     def format_field(self, value: object, format_spec: str) -> str:
@@ -80,11 +80,11 @@ class _Words(string.Formatter):
         return str(super().format_field(value, format_spec))
 
 
-_WORDS = _Words()
+_WORDS = _MessageFormatter()
 
 
 @cache
-def _houses() -> tuple[str, ...]:
+def _find_houses() -> tuple[str, ...]:
     """Return the installed packages that have messages, the library first."""
     found = (house.name for house in files("sunarc").iterdir() if house.joinpath(_FILE).is_file())
     return tuple(sorted(found, key=lambda house: (house != _LIBRARY, house)))

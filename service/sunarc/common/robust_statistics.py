@@ -119,7 +119,7 @@ def robust_sigma(distance: FloatArray, *, share: float = WELL_BEHAVED, floor: fl
         return floor
     ordered = np.sort(distance)
     # the distance of a round Gaussian is Rayleigh: its quantile q lies at sqrt(-2 ln(1 - q)) sigma
-    nearest = _quantile(ordered, share)
+    nearest = _quantile_of_sorted(ordered, share)
     # the well-behaved ones stay within the cut: it would else close in on those of few that a fit passes through
     floor = max(floor, nearest / _KEEP)
     sigma = max(nearest / math.sqrt(-2.0 * math.log1p(-share)), floor)
@@ -136,7 +136,7 @@ def robust_sigma(distance: FloatArray, *, share: float = WELL_BEHAVED, floor: fl
     return sigma
 
 
-def _quantile(ordered: FloatArray, share: float) -> float:
+def _quantile_of_sorted(ordered: FloatArray, share: float) -> float:
     """Return `numpy.quantile` of values (n,) in order, linear between neighbours, without its cost a call."""
     place = share * (ordered.size - 1)
     below = min(int(place), max(ordered.size - 2, 0))

@@ -108,11 +108,11 @@ _AUREOLE = 1.06
 less unless the lens scatters their light as it does the sun's."""
 
 
-def _disc_in(ordered: Sequence[Photo], expectation: Expectation | None) -> _DiscOfStack | None:
+def _find_common_disc(ordered: Sequence[Photo], expectation: Expectation | None) -> _DiscOfStack | None:
     """Return the disc that short exposures show at one place, the longest exposures coming first; None without one."""
     short = [each for each in ordered if is_short(each)]
     found = [detect_disc_in_colours(each, expectation=expectation) for each in reversed(short)]
-    dots = [(one, each) for one, each in zip(found, reversed(short), strict=True) if _is_dot(one, each)]
+    dots = [(one, each) for one, each in zip(found, reversed(short), strict=True) if _has_disc_shape(one, each)]
     if len(dots) < _FEWEST:
         return None
     first = dots[0][0]
@@ -132,7 +132,7 @@ def _disc_in(ordered: Sequence[Photo], expectation: Expectation | None) -> _Disc
     return _DiscOfStack(float(x), float(y), sigma, first, int(np.count_nonzero(same)))
 
 
-def _is_dot(found: Detection, photo: Photo) -> bool:
+def _has_disc_shape(found: Detection, photo: Photo) -> bool:
     """Return whether the detection has the shape of a disc, though its light need not be the model's."""
     if found.x_px is None or found.sigma_px is None or found.findings[0].code not in _SHAPED:
         return False
@@ -140,19 +140,19 @@ def _is_dot(found: Detection, photo: Photo) -> bool:
     return (found.ellipticity or 0.0) <= _LARGEST_ELLIPTICITY and radius <= max(_LARGEST_RADIUS * size, 4.0)
 
 
-def _by_disc(disc: _DiscOfStack, ordered: Sequence[Photo], accepted: Sequence[Detection]) -> Detection:
+def _judge_disc(disc: _DiscOfStack, ordered: Sequence[Photo], accepted: Sequence[Detection]) -> Detection:
     """Return the stack's sighting at the disc; not accepted where no glare is about it, or another thing was."""
     at = replace(
         disc.shortest, method="paper", accepted=True, verdict="clear", x_px=disc.x, y_px=disc.y, sigma_px=disc.sigma_px
     )
-    elsewhere = [one for one in accepted if not _agree(one, at)]
+    elsewhere = [one for one in accepted if not _is_same_place(one, at)]
     if elsewhere:
         far = math.hypot((elsewhere[0].x_px or 0.0) - disc.x, (elsewhere[0].y_px or 0.0) - disc.y)
         return replace(
             at, accepted=False, verdict="reflection", findings=(Finding("blob_displaced", {"distance_px": far}),)
         )
-    glare = [near for each in ordered if (near := _glare_about(each, at)) is not None]
-    if not accepted and not (_outshines(disc.shortest, ordered) and _has_halo(disc, glare, ordered)):
+    glare = [near for each in ordered if (near := _find_glare(each, at)) is not None]
+    if not accepted and not (_outshines_sky(disc.shortest, ordered) and _has_halo(disc, glare, ordered)):
         return replace(at, accepted=False, verdict="hidden", findings=(Finding("disc_without_glare"),))
     wide = accepted[0] if accepted else disc.shortest
     diameter = 2.0 * (glare[0].rim.radius if glare else wide.radius_px or 0.0)
@@ -162,13 +162,13 @@ def _by_disc(disc: _DiscOfStack, ordered: Sequence[Photo], accepted: Sequence[De
     return replace(at, findings=(Finding("blob_found", {"diameter_px": diameter, "share": share}), mean))
 
 
-def _agree(one: Detection, other: Detection) -> bool:
+def _is_same_place(one: Detection, other: Detection) -> bool:
     distance = math.hypot((one.x_px or 0.0) - (other.x_px or 0.0), (one.y_px or 0.0) - (other.y_px or 0.0))
     reach = _AGREE_SIGMAS * math.hypot(one.sigma_px or 0.0, other.sigma_px or 0.0)
     return distance <= max(reach, _AGREE_RADIUS * max(one.radius_px or 0.0, other.radius_px or 0.0))
 
 
-def _glare_about(photo: Photo, disc: Detection) -> Candidate | None:
+def _find_glare(photo: Photo, disc: Detection) -> Candidate | None:
     """Return the glare about the disc in an image of the day; None where none is."""
     if is_short(photo):
         return None
@@ -207,7 +207,7 @@ def _median_light(image: Image, full_scale: int) -> float:
     return float(np.median(linear_sum(image, full_scale))) / (3 * _LINEAR_SCALE) if image.size else math.nan
 
 
-def _outshines(dot: Detection, ordered: Sequence[Photo]) -> bool:
+def _outshines_sky(dot: Detection, ordered: Sequence[Photo]) -> bool:
     """Return whether the disc is so much lighter than the sky as the sun is; True where the exposures are not known."""
     if dot.exposure_us is None or dot.peak_fraction is None:
         return True
@@ -248,34 +248,36 @@ def detect_sun_in_stack(exposures: Sequence[Photo], *, expectation: Expectation 
         raise InputError(field="exposures", problem="none is given", remedy="give the images of one time")
     if len({each.image.shape for each in exposures}) > 1:
         raise InputError(field="exposures", problem="several sizes", remedy="give images of one size")
-    ordered, left, top = _longest_first(exposures), 0, 0
+    ordered, left, top = _sort_longest_first(exposures), 0, 0
     if (box := circle_box(ordered[0].image)) is not None:
         ordered, left, top = [cut_out(each, box) for each in ordered], box[1].start, box[0].start
     place = None if expectation is None else moved(expectation, -left, -top)
-    return moved(_in_stack(ordered, place), left, top)
+    return moved(_detect_in_sorted_stack(ordered, place), left, top)
 
 
-def _in_stack(ordered: Sequence[Photo], expectation: Expectation | None) -> Detection:
+def _detect_in_sorted_stack(ordered: Sequence[Photo], expectation: Expectation | None) -> Detection:
     seen = [detect_sun_in_photo(each, expectation=expectation) for each in ordered]
     accepted = [found for found in seen if found.accepted]
-    disc = _disc_in(ordered, expectation)
+    disc = _find_common_disc(ordered, expectation)
     if disc is not None:
-        return _by_disc(disc, ordered, accepted)
+        return _judge_disc(disc, ordered, accepted)
     if not accepted:
         return seen[0]
     anchor = min(accepted, key=lambda found: found.sigma_px or math.inf)
-    agreeing = [(near, each.exposure_us) for each in ordered if (near := _nearest(each, anchor)) is not None]
+    agreeing = [
+        (near, each.exposure_us) for each in ordered if (near := _find_agreeing_candidate(each, anchor)) is not None
+    ]
     return weighted_mean(anchor, agreeing)
 
 
-def _longest_first(exposures: Sequence[Photo]) -> list[Photo]:
+def _sort_longest_first(exposures: Sequence[Photo]) -> list[Photo]:
     known = [each.exposure_us for each in exposures if each.exposure_us is not None]
     lengths = known if len(known) == len(exposures) else [float(np.mean(each.image)) for each in exposures]
     order = sorted(range(len(exposures)), key=lambda number: -lengths[number])
     return [exposures[number] for number in order]
 
 
-def _nearest(photo: Photo, anchor: Detection) -> Candidate | None:
+def _find_agreeing_candidate(photo: Photo, anchor: Detection) -> Candidate | None:
     """Return an exposure's most certain candidate that agrees with the anchor."""
     part = whole_part(photo.image, static=photo.static, bayer=photo.bayer)
     found = candidates_in(part, full_scale=photo.full_scale, least_level=_LEAST_LEVEL, least_near=0.0)

@@ -46,11 +46,11 @@ def lit_surface(cos_phase: float) -> Surface:
     seeliger = incidence / np.maximum(incidence + emission, 1e-9) * area
     lambert = incidence * area
     seeliger, lambert = seeliger / seeliger.sum(), lambert / lambert.sum()
-    light = np.stack([seeliger, lambert - seeliger, *(seeliger * one for one in _polynomials(u, v))])
+    light = np.stack([seeliger, lambert - seeliger, *(seeliger * one for one in _zernike_polynomials(u, v))])
     return Surface(np.stack([u.ravel(), v.ravel()], axis=-1), light.reshape(light.shape[0], -1))
 
 
-def _polynomials(u: FloatArray, v: FloatArray) -> list[FloatArray]:
+def _zernike_polynomials(u: FloatArray, v: FloatArray) -> list[FloatArray]:
     """Return Zernike's polynomials of the first to third degree, of unit rms over the whole disc."""
     square = u * u + v * v
     return [
@@ -185,21 +185,23 @@ class _Problem:
 
     def residuals(self, parameters: FloatArray) -> FloatArray:
         """Return the misfit of the pixels over their sigma, and that of the priors."""
-        total, _ = self._model(parameters)
+        total, _ = self._compute_counts(parameters)
         misfit = (total - self._pixels.counts)[self._used] / self._sigma
         return np.asarray(np.r_[misfit, (parameters[2:_LINEAR] - _PRIOR_MEAN) / _PRIOR_SD])
 
     def jacobian(self, parameters: FloatArray) -> FloatArray:
         """Return the derivatives of the residuals."""
-        parts = self._parts(parameters)
-        level = self._levels(parameters)
+        parts = self._render_parts(parameters)
+        level = self._get_levels(parameters)
         columns = []
         for row, step in enumerate(_STEPS):
             moved = parameters.copy()
             moved[row] += step
-            columns.append(level * (_sum(self._parts(moved), parameters) - _sum(parts, parameters)) / step)
+            columns.append(
+                level * (_sum_parts(self._render_parts(moved), parameters) - _sum_parts(parts, parameters)) / step
+            )
         columns += [level * part for part in parts[1:]]
-        shape = _sum(parts, parameters)
+        shape = _sum_parts(parts, parameters)
         columns += [np.where(one, self._scale * shape, 0.0) for one in self._is]
         columns += [np.where(one, 1.0, 0.0) for one in self._is]
         by_pixels = np.stack([column[self._used] / self._sigma for column in columns], axis=-1)
@@ -209,7 +211,7 @@ class _Problem:
 
     def fitted(self, parameters: FloatArray) -> MoonFit:
         """Return the results at the best parameters."""
-        total, light = self._model(parameters)
+        total, light = self._compute_counts(parameters)
         misfit = (total - self._pixels.counts)[self._used]
         jacobian = self.jacobian(parameters)
         covariance = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
@@ -224,24 +226,24 @@ class _Problem:
             chi2=chi2,
             residual=float(np.sqrt(np.mean(misfit**2))) / max(float(light.max()), 1e-9),
             light=light,
-            aureole=self._aureole(parameters),
+            aureole=self._compute_aureole(parameters),
             shape_misfit=float(np.mean((parameters[_SEAS] / _SEAS_SD) ** 2)),
         )
 
-    def _model(self, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _compute_counts(self, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the counts, and those of the moon alone."""
-        light = self._levels(parameters) * _sum(self._parts(parameters), parameters)
+        light = self._get_levels(parameters) * _sum_parts(self._render_parts(parameters), parameters)
         sky = parameters[_LINEAR + self._colours :][self._pixels.colour]
         return light + sky, light
 
-    def _aureole(self, parameters: FloatArray) -> float:
-        parts = self._parts(parameters)
-        return float(parameters[_LINEAR - 1] * np.max(parts[-1] + parts[0]) / np.max(_sum(parts, parameters)))
+    def _compute_aureole(self, parameters: FloatArray) -> float:
+        parts = self._render_parts(parameters)
+        return float(parameters[_LINEAR - 1] * np.max(parts[-1] + parts[0]) / np.max(_sum_parts(parts, parameters)))
 
-    def _levels(self, parameters: FloatArray) -> FloatArray:
+    def _get_levels(self, parameters: FloatArray) -> FloatArray:
         return np.asarray(self._scale * parameters[_LINEAR : _LINEAR + self._colours][self._pixels.colour])
 
-    def _parts(self, parameters: FloatArray) -> FloatArray:
+    def _render_parts(self, parameters: FloatArray) -> FloatArray:
         """Return the image of unit light, and its changes by Lambert's law, the seas and the aureole."""
         side, origin = self._pixels.counts.shape[0], self._pixels.origin
         width, ratio = (float(np.exp(np.clip(one, -2.0, 2.5))) for one in parameters[2:4])
@@ -254,7 +256,7 @@ class _Problem:
         return np.concatenate([images, (aureole - images[0])[None]])
 
 
-def _sum(parts: FloatArray, parameters: FloatArray) -> FloatArray:
+def _sum_parts(parts: FloatArray, parameters: FloatArray) -> FloatArray:
     return np.asarray(parts[0] + np.tensordot(parameters[_SHAPE:_LINEAR], parts[1:], axes=1))
 
 
@@ -327,24 +329,24 @@ def detect_moon(image: Image, expected: MoonExpectation, *, sensor: Sensor) -> D
     """
     require_photo(image, full_scale=sensor.full_scale)
     if expected.cos_phase < 2.0 * _LEAST_LIT - 1.0:
-        return _none(Finding("moon_thin", {"lit": 0.5 * (1.0 + expected.cos_phase), "limit": _LEAST_LIT}))
+        return _make_rejection(Finding("moon_thin", {"lit": 0.5 * (1.0 + expected.cos_phase), "limit": _LEAST_LIT}))
     surface = lit_surface(expected.cos_phase)
-    start = _start(image, expected, surface)
+    start = _estimate_centre(image, expected, surface)
     if start is None:
-        return _none(Finding("moon_not_found", {"sigma_px": expected.uncertainty_px}))
+        return _make_rejection(Finding("moon_not_found", {"sigma_px": expected.uncertainty_px}))
     radius = math.sqrt(abs(float(np.linalg.det(expected.edges_px))))
     longest = float(np.max(np.linalg.norm(expected.edges_px, axis=0)))
-    stamp, clipped = _stamp(image, start, longest, sensor)
-    near = _distance(stamp, start, expected.edges_px) < 1.0 + 2.0 / radius
+    stamp, clipped = _cut_stamp(image, start, longest, sensor)
+    near = _distance_in_radii(stamp, start, expected.edges_px) < 1.0 + 2.0 / radius
     n_clipped = int(np.count_nonzero(clipped & near))
     if n_clipped > _MOST_CLIPPED * math.pi * radius**2 * 0.5 * (1.0 + expected.cos_phase):
-        return _none(Finding("moon_saturated", {"n": n_clipped}), saturated_px=n_clipped)
+        return _make_rejection(Finding("moon_saturated", {"n": n_clipped}), saturated_px=n_clipped)
     fitted = fit_moon(stamp, surface, expected.edges_px, start)
-    haze = max(_haze(stamp, fitted, longest), fitted.aureole)
-    return _judged(fitted, expected, haze=haze, n_clipped=n_clipped, full_scale=sensor.full_scale)
+    haze = max(_measure_haze(stamp, fitted, longest), fitted.aureole)
+    return _judge_moon(fitted, expected, haze=haze, n_clipped=n_clipped, full_scale=sensor.full_scale)
 
 
-def _start(image: Image, expected: MoonExpectation, surface: Surface) -> FloatArray | None:
+def _estimate_centre(image: Image, expected: MoonExpectation, surface: Surface) -> FloatArray | None:
     """Return where the disc's centre would be (2,) px by the brightest place near the prediction."""
     middle = expected.edges_px @ (surface.light[0] @ surface.nodes)
     at = np.array([expected.x_px, expected.y_px]) + middle
@@ -368,7 +370,7 @@ def _start(image: Image, expected: MoonExpectation, surface: Surface) -> FloatAr
     return np.asarray(np.array(place) - middle)
 
 
-def _stamp(image: Image, start: FloatArray, longest: float, sensor: Sensor) -> tuple[Pixels, BoolArray]:
+def _cut_stamp(image: Image, start: FloatArray, longest: float, sensor: Sensor) -> tuple[Pixels, BoolArray]:
     """Return the pixels around the disc, and which are clipped; those outside of the image take no part."""
     half = min(math.ceil(longest + _MARGIN_PX), _LARGEST_HALF)
     left, top = (round(float(value)) - half for value in start)
@@ -388,14 +390,14 @@ def _stamp(image: Image, start: FloatArray, longest: float, sensor: Sensor) -> t
     return Pixels((left, top), counts, variance, colour), np.asarray(clipped)
 
 
-def _distance(stamp: Pixels, centre: FloatArray, edges_px: FloatArray) -> FloatArray:
+def _distance_in_radii(stamp: Pixels, centre: FloatArray, edges_px: FloatArray) -> FloatArray:
     """Return how far each pixel lies from the disc's centre, in radii."""
     rows, columns = np.indices(stamp.counts.shape)
     offset = np.stack([columns + stamp.origin[0] - centre[0], rows + stamp.origin[1] - centre[1]], axis=-1)
     return np.asarray(np.linalg.norm(offset @ np.linalg.inv(edges_px).T, axis=-1))
 
 
-def _haze(stamp: Pixels, fitted: MoonFit, longest: float) -> float:
+def _measure_haze(stamp: Pixels, fitted: MoonFit, longest: float) -> float:
     """Return the light of the sky just outside of the disc over the disc's, above that at the stamp's edge."""
     rows, columns = np.indices(stamp.counts.shape)
     far = np.hypot(columns + stamp.origin[0] - fitted.x_px, rows + stamp.origin[1] - fitted.y_px)
@@ -411,7 +413,9 @@ def _haze(stamp: Pixels, fitted: MoonFit, longest: float) -> float:
     return float(np.mean(levels)) if levels else 0.0
 
 
-def _judged(fitted: MoonFit, expected: MoonExpectation, *, haze: float, n_clipped: int, full_scale: int) -> Detection:
+def _judge_moon(
+    fitted: MoonFit, expected: MoonExpectation, *, haze: float, n_clipped: int, full_scale: int
+) -> Detection:
     """Return the detection, accepted or not."""
     radius = math.sqrt(abs(float(np.linalg.det(expected.edges_px))))
     law, cloud = _LAW_RADII * radius, _HAZE_RADII * radius * max(haze, 0.0)
@@ -447,7 +451,7 @@ def _judged(fitted: MoonFit, expected: MoonExpectation, *, haze: float, n_clippe
     )
 
 
-def _none(finding: Finding, *, saturated_px: int = 0) -> Detection:
+def _make_rejection(finding: Finding, *, saturated_px: int = 0) -> Detection:
     verdict: Verdict = "saturated" if saturated_px else "hidden"
     return Detection(method="moon", accepted=False, verdict=verdict, findings=(finding,), saturated_px=saturated_px)
 

@@ -116,7 +116,7 @@ def clouds(
         valid = (directions[:, 2] > _LEVEL) & (height > 0.0)
     direction = np.where(valid[:, None], directions, np.nan)
     sigma = np.broadcast_to(np.asarray(height_sigma_m, dtype=np.float64), height.shape)
-    found = _through(np.zeros_like(direction), direction, site.altitude + height, covariance, site)
+    found = _intersect_surface(np.zeros_like(direction), direction, site.altitude + height, covariance, site)
     # a higher base is met further along the ray, which rises by the cosine of its angle to the vertical there
     shift = direction * (sigma / np.sum(direction * found.geodetic.up, axis=-1))[:, None]
     return replace(found, covariance_m2=found.covariance_m2 + shift[:, :, None] * shift[:, None, :])
@@ -138,8 +138,8 @@ def shadows(cloud: Located, sun: FloatArray, site: Site) -> Located:
     towards = np.broadcast_to(sun, cloud.position_m.shape)
     ray = np.where(towards[:, 2:] > _LEVEL, -towards, np.nan)
     target = np.full(len(cloud.position_m), site.altitude)
-    length, geodetic = _meet(cloud.position_m, ray, target, site)
-    moved = _flattened(ray, geodetic.up)
+    length, geodetic = _solve_ray_length(cloud.position_m, ray, target, site)
+    moved = _slide_along_surface(ray, geodetic.up)
     return Located(
         position_m=cloud.position_m + length[:, None] * ray,
         geodetic=geodetic,
@@ -147,9 +147,11 @@ def shadows(cloud: Located, sun: FloatArray, site: Site) -> Located:
     )
 
 
-def _through(start: FloatArray, ray: FloatArray, altitude: FloatArray, covariance: FloatArray, site: Site) -> Located:
-    length, geodetic = _meet(start, ray, altitude, site)
-    moved = length[:, None, None] * _flattened(ray, geodetic.up)
+def _intersect_surface(
+    start: FloatArray, ray: FloatArray, altitude: FloatArray, covariance: FloatArray, site: Site
+) -> Located:
+    length, geodetic = _solve_ray_length(start, ray, altitude, site)
+    moved = length[:, None, None] * _slide_along_surface(ray, geodetic.up)
     return Located(
         position_m=start + length[:, None] * ray,
         geodetic=geodetic,
@@ -157,7 +159,9 @@ def _through(start: FloatArray, ray: FloatArray, altitude: FloatArray, covarianc
     )
 
 
-def _meet(start: FloatArray, ray: FloatArray, altitude: FloatArray, site: Site) -> tuple[FloatArray, GeodeticPosition]:
+def _solve_ray_length(
+    start: FloatArray, ray: FloatArray, altitude: FloatArray, site: Site
+) -> tuple[FloatArray, GeodeticPosition]:
     """Return how long rays are until they meet the surface of an altitude, and where: a sphere first, then Newton."""
     begin = geodetic_position(start, site)
     rise = np.sum(ray * begin.up, axis=-1)
@@ -172,7 +176,7 @@ def _meet(start: FloatArray, ray: FloatArray, altitude: FloatArray, site: Site) 
     return length, geodetic_position(start + length[:, None] * ray, site)
 
 
-def _flattened(ray: FloatArray, up: FloatArray) -> FloatArray:
+def _slide_along_surface(ray: FloatArray, up: FloatArray) -> FloatArray:
     """Return (n, 3, 3): how a point slides along the surface when its ray is shifted."""
     slope = np.sum(ray * up, axis=-1)[:, None, None]
     return np.asarray(np.eye(3) - ray[:, :, None] * up[:, None, :] / slope)

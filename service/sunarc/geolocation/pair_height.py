@@ -77,20 +77,20 @@ def pair_height(first: PairView, second: PairView) -> PairHeight:
         if not np.isfinite(view.direction).all() or view.direction[2] <= 0.0:
             raise InputError(field=name, problem="is not above the horizon", remedy="give a pixel of the sky")
     a, b = first.direction, axes @ second.direction
-    tangents = [_tangents(a), _tangents(b)]
+    tangents = [_make_tangents(a), _make_tangents(b)]
     spreads = [first.covariance, axes @ second.covariance @ axes.T]
     _require_angle(a, b, spreads)
-    point, lengths, miss = _nearest(a, b, base)
+    point, lengths, miss = _nearest_point_of_rays(a, b, base)
     if min(lengths) <= 0.0:
         raise InputError(
             field="pixel_b",
             problem="the rays move apart: they come nearest behind a camera",
             remedy="give pixels of one point of a cloud, of one time",
         )
-    height_m = _height(point, first.site)
+    height_m = _height_above_site(point, first.site)
     variances = np.zeros(2)
     for number, (tangent, spread) in enumerate(zip(tangents, spreads, strict=True)):
-        slopes = np.array([_slopes((a, b), base, first.site, number, one) for one in tangent])
+        slopes = np.array([_height_derivatives((a, b), base, first.site, number, one) for one in tangent])
         variances += np.einsum("ik,ij,jk->k", slopes, tangent @ spread @ tangent.T, slopes)
     sigma_m, miss_sigma_m = np.sqrt(variances).tolist()
     return PairHeight(
@@ -100,16 +100,16 @@ def pair_height(first: PairView, second: PairView) -> PairHeight:
         geodetic=geodetic_position(point[None], first.site),
         miss_m=miss,
         miss_sigma_m=miss_sigma_m,
-        angle_deg=float(np.degrees(_angle(a, b))),
+        angle_deg=float(np.degrees(_angle_between(a, b))),
     )
 
 
-def _angle(a: FloatArray, b: FloatArray) -> float:
+def _angle_between(a: FloatArray, b: FloatArray) -> float:
     return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
 
 
 def _require_angle(a: FloatArray, b: FloatArray, spreads: list[FloatArray]) -> None:
-    angle = _angle(a, b)
+    angle = _angle_between(a, b)
     # the angle changes by what moves one direction towards the other
     toward = a - b
     toward = toward / max(float(np.linalg.norm(toward)), 1e-12)
@@ -122,7 +122,9 @@ def _require_angle(a: FloatArray, b: FloatArray, spreads: list[FloatArray]) -> N
         )
 
 
-def _nearest(a: FloatArray, b: FloatArray, base: FloatArray) -> tuple[FloatArray, tuple[float, float], float]:
+def _nearest_point_of_rays(
+    a: FloatArray, b: FloatArray, base: FloatArray
+) -> tuple[FloatArray, tuple[float, float], float]:
     """Return the point (3,), the rays' lengths to where they are nearest, and how far they miss one another."""
     normal = np.cross(a, b)
     square = float(normal @ normal)
@@ -133,11 +135,11 @@ def _nearest(a: FloatArray, b: FloatArray, base: FloatArray) -> tuple[FloatArray
     return point, (along_a, along_b), float(base @ normal) / square**0.5
 
 
-def _height(point: FloatArray, site: Site) -> float:
+def _height_above_site(point: FloatArray, site: Site) -> float:
     return float(geodetic_position(point[None], site).altitude[0]) - site.altitude
 
 
-def _slopes(
+def _height_derivatives(
     pair: tuple[FloatArray, FloatArray], base: FloatArray, site: Site, moved: int, tangent: FloatArray
 ) -> tuple[float, float]:
     """Return by how much height and miss change with one direction along a tangent, metres per radian."""
@@ -146,12 +148,12 @@ def _slopes(
         rays = list(pair)
         shifted = rays[moved] + sign * _STEP * tangent
         rays[moved] = shifted / np.linalg.norm(shifted)
-        point, _, miss = _nearest(rays[0], rays[1], base)
-        ends.append((_height(point, site), miss))
+        point, _, miss = _nearest_point_of_rays(rays[0], rays[1], base)
+        ends.append((_height_above_site(point, site), miss))
     return (ends[0][0] - ends[1][0]) / (2.0 * _STEP), (ends[0][1] - ends[1][1]) / (2.0 * _STEP)
 
 
-def _tangents(direction: FloatArray) -> FloatArray:
+def _make_tangents(direction: FloatArray) -> FloatArray:
     """Return two unit vectors (2, 3) across a direction."""
     one = np.cross(direction, np.eye(3)[int(np.argmin(np.abs(direction)))])
     one = one / np.linalg.norm(one)

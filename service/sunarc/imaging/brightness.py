@@ -58,10 +58,10 @@ def light_ratio_contradiction(first: Exposed, second: Exposed) -> str | None:
     the black level need not be known; the pixels that the longer one saturates must be bright enough in the shorter.
     """
     shorter, longer = sorted((first, second), key=lambda frame: frame.exposure_us)
-    pair = _pair(shorter, longer)
-    light = _beyond_full_scale(pair)
+    pair = _make_pair(shorter, longer)
+    light = _measure_saturated_light_ratio(pair)
     if light is None:
-        light = _light(pair, most=TOLERANCE * (shorter.exposure_us + _EXTRA_US) / shorter.exposure_us)
+        light = _measure_light_ratio(pair, most=TOLERANCE * (shorter.exposure_us + _EXTRA_US) / shorter.exposure_us)
     if light is None:
         return None
     return (
@@ -87,7 +87,7 @@ class _Pair:
         return max(0.5, _FIXED_PATTERN * self.full_scale)
 
 
-def _pair(shorter: Exposed, longer: Exposed) -> _Pair:
+def _make_pair(shorter: Exposed, longer: Exposed) -> _Pair:
     long = longer.image.ravel()
     histogram = np.bincount(long, minlength=longer.full_scale + 1)
     level = int(np.searchsorted(np.cumsum(histogram), _DARK_SHARE * long.size))
@@ -101,12 +101,15 @@ def _pair(shorter: Exposed, longer: Exposed) -> _Pair:
     )
 
 
-def _light(pair: _Pair, *, most: float) -> float | None:
+def _measure_light_ratio(pair: _Pair, *, most: float) -> float | None:
     """Return the light of the shorter exposure in terms of the expected one; None where that is near enough to 1."""
-    bright, dark = (_beside(group, pair) for group in (_brightest(pair), pair.dark))
+    bright, dark = (_select_neighbours(group, pair) for group in (_select_brightest(pair), pair.dark))
     if min(bright.size, dark.size) < _LEAST_BRIGHT_PX // 3:
         return None
-    contrast_long, contrast_short = _contrast(pair.long, bright, dark), _contrast(pair.short, bright, dark)
+    contrast_long, contrast_short = (
+        _measure_contrast(pair.long, bright, dark),
+        _measure_contrast(pair.short, bright, dark),
+    )
     if contrast_long.mean < 2.0 * _SIGMAS * contrast_long.error + 4.0 * pair.floor:
         return None
     expected, margin = contrast_long.mean * pair.ratio, _SIGMAS * contrast_short.error + pair.floor
@@ -115,7 +118,7 @@ def _light(pair: _Pair, *, most: float) -> float | None:
     return contrast_short.mean / expected
 
 
-def _beyond_full_scale(pair: _Pair) -> float | None:
+def _measure_saturated_light_ratio(pair: _Pair) -> float | None:
     """Return the same where much of the longer exposure is saturated, though the shorter one says it should not be."""
     level = int(_SATURATED * pair.full_scale)
     if pair.histogram[level:].sum() < _MUCH_SATURATED * pair.long.size:
@@ -130,7 +133,7 @@ def _beyond_full_scale(pair: _Pair) -> float | None:
     return light if light < 1.0 / _SATURATED_TOLERANCE - pair.floor / expected else None
 
 
-def _brightest(pair: _Pair) -> IntArray:
+def _select_brightest(pair: _Pair) -> IntArray:
     """Return where the longer exposure is brightest without being near saturation."""
     ceiling = int(_CEILING * pair.full_scale)
     n_brightest = max(_LEAST_BRIGHT_PX, pair.long.size // 2000)
@@ -138,7 +141,7 @@ def _brightest(pair: _Pair) -> IntArray:
     return _thin_indices(np.flatnonzero((pair.long >= max(level, 0)) & (pair.long < ceiling)))
 
 
-def _beside(indices: IntArray, pair: _Pair) -> IntArray:
+def _select_neighbours(indices: IntArray, pair: _Pair) -> IntArray:
     """Return the pixels at the sides of those chosen, which were not chosen for their noise, nor for being hot."""
     beside = (indices + _ASIDE_PX) % pair.long.size
     return beside[pair.long[beside] < _CEILING * pair.full_scale]
@@ -148,7 +151,7 @@ def _thin_indices(indices: IntArray) -> IntArray:
     return indices[:: 1 + indices.size // _MOST_PX]
 
 
-def _contrast(image: Image, bright: IntArray, dark: IntArray) -> _Level:
+def _measure_contrast(image: Image, bright: IntArray, dark: IntArray) -> _Level:
     above, below = trimmed_mean(image[bright]), trimmed_mean(image[dark])
     return _Level(mean=above.mean - below.mean, error=float(np.hypot(above.error, below.error)))
 
@@ -213,13 +216,13 @@ def factor_all_over(before: Level, now: Level) -> float | None:
     for exposure_us, first in zip(before.exposures_us, before.blocks, strict=True):
         for other_us, second in zip(now.exposures_us, now.blocks, strict=True):
             if abs(other_us - exposure_us) <= _SAME_EXPOSURE * exposure_us:
-                factor = _factor(first, second, full_scale=before.full_scale)
+                factor = _measure_light_factor(first, second, full_scale=before.full_scale)
                 if factor is not None:
                     return factor
     return None
 
 
-def _factor(before: FloatArray, now: FloatArray, *, full_scale: int) -> float | None:
+def _measure_light_factor(before: FloatArray, now: FloatArray, *, full_scale: int) -> float | None:
     dark = np.argsort(before)[: max(int(_DARK_SHARE * before.size), 1)]
     light_before, light_now = before - before[dark].mean(), now - now[dark].mean()
     telling = (before < _CEILING * full_scale) & (light_before > _LEAST_CONTRAST * full_scale)

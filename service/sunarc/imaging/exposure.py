@@ -113,7 +113,7 @@ class SunLook:
 
 def first_sun_exposures(options: SunExposureOptions, bounds: ExposureBounds) -> SunExposureState:
     """Return the state to start with: a bracket of two."""
-    return SunExposureState(exposures_us=_bracket(options.first_us, bounds))
+    return SunExposureState(exposures_us=_make_bracket(options.first_us, bounds))
 
 
 def next_sun_exposures(
@@ -133,19 +133,21 @@ def next_sun_exposures(
     back, and behind a veil, where the shorter one is ready for the moment when it is gone. Without a neutral filter the
     shortest exposure stays saturated; that counts as steady, for the fit leaves saturated pixels out.
     """
-    peaks = [peak for peak in result.peaks if _finite_positive(peak.exposure_us) and _finite_positive(peak.fraction)]
+    peaks = [
+        peak for peak in result.peaks if _is_finite_positive(peak.exposure_us) and _is_finite_positive(peak.fraction)
+    ]
     state = replace(state, cycles_spoiled=_count_spoiled(state, result, peaks))
     if not peaks:
-        return _without_sun(state, result, options, bounds)
-    target_us = _target_us(peaks, options, bounds)
-    if len(state.exposures_us) == 1 and _any_good(peaks, options, bounds, exposure_us=state.exposures_us[0]):
+        return _exposures_without_sun(state, result, options, bounds)
+    target_us = _compute_target_us(peaks, options, bounds)
+    if len(state.exposures_us) == 1 and _is_any_well_exposed(peaks, options, bounds, exposure_us=state.exposures_us[0]):
         target_us = state.exposures_us[0]
-    steady = state.cycles_steady + 1 if _any_good(peaks, options, bounds) else 0
-    best = _best(peaks, options)
-    level = best.fraction / best.exposure_us / _transmission(result)
+    steady = state.cycles_steady + 1 if _is_any_well_exposed(peaks, options, bounds) else 0
+    best = _select_best_exposed(peaks, options)
+    level = best.fraction / best.exposure_us / _clear_transmission_at_sun(result)
     settled = steady >= _STEADY_AFTER and result.apparent_zenith < _LOW_SUN_ZENITH_DEG
     return SunExposureState(
-        exposures_us=_beside_the_clear(target_us, result, options, bounds, settled=settled),
+        exposures_us=_add_clear_sky_exposure(target_us, result, options, bounds, settled=settled),
         cycles_steady=steady,
         cycles_spoiled=state.cycles_spoiled,
         level_above_air=level,
@@ -159,67 +161,67 @@ def _count_spoiled(state: SunExposureState, result: SunLook, peaks: Sequence[Pea
     return 0 if peaks else state.cycles_spoiled
 
 
-def _without_sun(
+def _exposures_without_sun(
     state: SunExposureState, result: SunLook, options: SunExposureOptions, bounds: ExposureBounds
 ) -> SunExposureState:
     """Keep the exposures for a while, then wait for the sun with those of a clear sky at its present height."""
     lost = state.cycles_lost + 1
     if lost < LOST_AFTER:
         return replace(state, cycles_lost=lost, cycles_steady=0)
-    clear = _clear_us(state, result, options)
+    clear = _clear_sky_exposure_us(state, result, options)
     sought = options.first_us if clear is None else clear
-    return replace(state, exposures_us=_bracket(sought, bounds), cycles_lost=lost, cycles_steady=0)
+    return replace(state, exposures_us=_make_bracket(sought, bounds), cycles_lost=lost, cycles_steady=0)
 
 
-def _beside_the_clear(
+def _add_clear_sky_exposure(
     target_us: float, result: SunLook, options: SunExposureOptions, bounds: ExposureBounds, *, settled: bool
 ) -> tuple[float, ...]:
     """Return the wanted exposure alone where the light is settled; through a veil, with the one for a clear sky."""
-    clear = _aim(options) / result.clear_level_per_us if result.clear_level_per_us > 0.0 else math.inf
+    clear = _target_level(options) / result.clear_level_per_us if result.clear_level_per_us > 0.0 else math.inf
     unveiled = bounds.nearest(clear)
     if unveiled * _BRACKET_RATIO < target_us:
         return (unveiled, target_us)
-    return (target_us,) if settled else _bracket(target_us, bounds)
+    return (target_us,) if settled else _make_bracket(target_us, bounds)
 
 
-def _clear_us(state: SunExposureState, result: SunLook, options: SunExposureOptions) -> float | None:
-    level = result.clear_level_per_us or state.level_above_air * _transmission(result)
-    return _aim(options) / level if level > 0.0 else None
+def _clear_sky_exposure_us(state: SunExposureState, result: SunLook, options: SunExposureOptions) -> float | None:
+    level = result.clear_level_per_us or state.level_above_air * _clear_transmission_at_sun(result)
+    return _target_level(options) / level if level > 0.0 else None
 
 
-def _transmission(result: SunLook) -> float:
+def _clear_transmission_at_sun(result: SunLook) -> float:
     """Return a clear sky's transmission at the sun's height, below 88 degrees that of 88: for a first guess only."""
     return clear_transmission(min(result.apparent_zenith, 88.0))
 
 
-def _finite_positive(value: float) -> bool:
+def _is_finite_positive(value: float) -> bool:
     return math.isfinite(value) and value > 0.0
 
 
-def _aim(options: SunExposureOptions) -> float:
+def _target_level(options: SunExposureOptions) -> float:
     return math.sqrt(options.target_low * options.target_high)
 
 
-def _best(peaks: Sequence[Peak], options: SunExposureOptions) -> Peak:
+def _select_best_exposed(peaks: Sequence[Peak], options: SunExposureOptions) -> Peak:
     """Return the best exposed one."""
-    return min(peaks, key=lambda peak: (peak.fraction > 1.0, abs(math.log(peak.fraction / _aim(options)))))
+    return min(peaks, key=lambda peak: (peak.fraction > 1.0, abs(math.log(peak.fraction / _target_level(options)))))
 
 
-def _target_us(peaks: Sequence[Peak], options: SunExposureOptions, bounds: ExposureBounds) -> float:
+def _compute_target_us(peaks: Sequence[Peak], options: SunExposureOptions, bounds: ExposureBounds) -> float:
     """Return the exposure that brings the peak to the middle of the band, judged from the best exposed frame."""
-    best = _best(peaks, options)
-    change = min(max(_aim(options) / best.fraction, 1.0 / _MAX_CHANGE), _MAX_CHANGE)
+    best = _select_best_exposed(peaks, options)
+    change = min(max(_target_level(options) / best.fraction, 1.0 / _MAX_CHANGE), _MAX_CHANGE)
     return bounds.nearest(best.exposure_us * change)
 
 
-def _any_good(
+def _is_any_well_exposed(
     peaks: Sequence[Peak], options: SunExposureOptions, bounds: ExposureBounds, *, exposure_us: float | None = None
 ) -> bool:
     """Return whether a peak is where it should be, of all exposures or of one."""
-    return any(_good(peak, options, bounds) for peak in peaks if exposure_us in {None, peak.exposure_us})
+    return any(_is_well_exposed(peak, options, bounds) for peak in peaks if exposure_us in {None, peak.exposure_us})
 
 
-def _good(peak: Peak, options: SunExposureOptions, bounds: ExposureBounds) -> bool:
+def _is_well_exposed(peak: Peak, options: SunExposureOptions, bounds: ExposureBounds) -> bool:
     if options.target_low <= peak.fraction <= options.target_high:
         return True
     at_shortest = peak.exposure_us <= bounds.minimum_us + bounds.step_us
@@ -227,7 +229,7 @@ def _good(peak: Peak, options: SunExposureOptions, bounds: ExposureBounds) -> bo
     return (peak.fraction > options.target_high and at_shortest) or (peak.fraction < options.target_low and at_longest)
 
 
-def _bracket(shorter_us: float, bounds: ExposureBounds) -> tuple[float, ...]:
+def _make_bracket(shorter_us: float, bounds: ExposureBounds) -> tuple[float, ...]:
     first = bounds.nearest(shorter_us)
     second = bounds.nearest(first * _BRACKET_RATIO)
     return (first, second) if second > first else (first,)

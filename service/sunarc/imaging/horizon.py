@@ -81,7 +81,7 @@ def horizon_profile(mask: ObstructionMask, *, sigma_deg: float = 0.0) -> Horizon
     sigma_deg : 1-sigma of the calibration's directions near the horizon.
     """
     clean = np.where(mask.state == SOILED, 0.0, mask.probability).astype(np.float32)
-    parts = [_part(clean, mask.grid.camera, azimuth) for azimuth in np.arange(360.0).reshape(-1, _AT_ONCE)]
+    parts = [_measure_azimuths(clean, mask.grid.camera, azimuth) for azimuth in np.arange(360.0).reshape(-1, _AT_ONCE)]
     tops, widths = (np.concatenate([getattr(part, name) for part in parts]) for name in ("tops", "widths"))
     top = np.median(tops, axis=1)
     resolution = mask.grid.resolution_deg / math.sqrt(12.0)
@@ -90,7 +90,7 @@ def horizon_profile(mask: ObstructionMask, *, sigma_deg: float = 0.0) -> Horizon
     sigma = np.sqrt(resolution**2 + spread**2 + soft**2 + sigma_deg**2)
     top[~np.concatenate([part.seen for part in parts])] = np.nan
     middle = np.concatenate([part.middle for part in parts])
-    openings = tuple(_openings(row, _ELEVATION, highest) for row, highest in zip(middle, top, strict=True))
+    openings = tuple(_find_openings(row, _ELEVATION, highest) for row, highest in zip(middle, top, strict=True))
     return HorizonProfile(elevation_deg=top, sigma_deg=sigma, openings=openings)
 
 
@@ -103,26 +103,26 @@ class _HorizonPart(NamedTuple):
     middle: Cells
 
 
-def _part(probability: Cells, camera: Camera, azimuth_deg: FloatArray) -> _HorizonPart:
+def _measure_azimuths(probability: Cells, camera: Camera, azimuth_deg: FloatArray) -> _HorizonPart:
     azimuth = (azimuth_deg[:, None] + np.array(_OFFSETS_DEG))[..., None]
     directions = direction_from_angles(zenith_deg=90.0 - _ELEVATION, azimuth_deg=azimuth)
     at = project_fast(camera, directions.reshape(-1, 3))
     shape = directions.shape[:-1]
     seen = (camera_sees(camera, at) & np.isfinite(at).all(axis=-1)).reshape(shape)
     hidden = sampled_cells(probability, at.reshape(shape[0], -1, 2), camera).reshape(shape)
-    tops, widths = (_highest(hidden, seen, limit, _ELEVATION) for limit in (0.5, 0.1))
+    tops, widths = (_highest_hidden_elevation(hidden, seen, limit, _ELEVATION) for limit in (0.5, 0.1))
     middle = np.where(seen, hidden, np.float32(1.0))[:, len(_OFFSETS_DEG) // 2]
     return _HorizonPart(tops, widths, np.asarray(seen.any(axis=(1, 2))), middle)
 
 
-def _highest(hidden: Cells, seen: BoolArray, limit: float, elevation: FloatArray) -> FloatArray:
+def _highest_hidden_elevation(hidden: Cells, seen: BoolArray, limit: float, elevation: FloatArray) -> FloatArray:
     """Return (...) the highest elevation at which the probability is above a limit, 0 where it is nowhere."""
     above = (hidden > limit) & seen
     last = above.shape[-1] - 1 - np.argmax(above[..., ::-1], axis=-1)
     return np.where(above.any(axis=-1), elevation[last] + 0.5 * _STEP_DEG * (last > 0), 0.0)
 
 
-def _openings(hidden: Cells, elevation: FloatArray, highest: float) -> tuple[tuple[float, float], ...]:
+def _find_openings(hidden: Cells, elevation: FloatArray, highest: float) -> tuple[tuple[float, float], ...]:
     free = np.concatenate([[False], (hidden < 0.5) & (elevation < highest), [False]])
     edges = np.flatnonzero(np.diff(free.astype(int))).reshape(-1, 2)
     spans = [(round(first * _STEP_DEG, 1), round(last * _STEP_DEG, 1)) for first, last in edges.tolist()]

@@ -92,10 +92,10 @@ def image_tiles(image: Image) -> ImageTiles:
 def _has_noise(image: Image) -> bool:
     """Return whether even the smoothest parts of the mid-tones are rough: foregrounds are, smooth skies are not."""
     low, high = mid_tones(image)
-    least = _LEAST_BENT * _step(image, low, high)
+    least = _LEAST_BENT * _level_step(image, low, high)
     every = image[::_NOISE_ROWS]
     firsts = range(0, len(every) - _TILE_PX + 1, _TILE_PX)
-    shares = [_mid_and_rough(every[first : first + _TILE_PX], (low, high), least) for first in firsts]
+    shares = [_measure_tile_shares(every[first : first + _TILE_PX], (low, high), least) for first in firsts]
     if not shares:
         return False
     mid, rough = np.concatenate(shares, axis=1)
@@ -105,7 +105,7 @@ def _has_noise(image: Image) -> bool:
     return bool(np.quantile(rough, _SMOOTHEST) >= _LEAST_ROUGH)
 
 
-def _step(image: Image, low: float, high: float) -> int:
+def _level_step(image: Image, low: float, high: float) -> int:
     """Return the step between the levels of an image's mid-tones, in counts; 1 of floats, and of fewer than two."""
     if image.dtype.kind == "f":
         return 1
@@ -113,7 +113,7 @@ def _step(image: Image, low: float, high: float) -> int:
     return max(level_step(counts[(counts > low) & (counts < high)]), 1)
 
 
-def _mid_and_rough(strip: Image, tones: tuple[float, float], least: float) -> FloatArray:
+def _measure_tile_shares(strip: Image, tones: tuple[float, float], least: float) -> FloatArray:
     """Return (2, tiles): of the pixels of each tile of a strip, the shares that are mid-tones, and rough ones.
 
     The columns of a raw mosaic are of two colours by turns: where most pixels are rough, those of one are compared.
@@ -121,23 +121,23 @@ def _mid_and_rough(strip: Image, tones: tuple[float, float], least: float) -> Fl
     values = strip.reshape(*strip.shape[:2], -1).astype(np.result_type(strip.dtype, np.float32))
     mid = (strip > tones[0]) & (strip < tones[1])
     mid = mid.reshape(values.shape)[:, 1:-1]
-    bent = _bent(values, 1, least)
+    bent = _is_off_line(values, 1, least)
     bent[:, np.arange(1, values.shape[1] - 1) % _BLOCK_PX % (_BLOCK_PX - 1) == 0] = False
-    rough = _tile_means(bent & mid)
+    rough = _average_tiles(bent & mid)
     if values.shape[2] == 1 and np.any(rough > _PERHAPS_MOSAIC):
         same_colour = np.zeros_like(mid)
-        same_colour[:, 1:-1] = _bent(values, 2, least)
-        rough = np.where(rough > _PERHAPS_MOSAIC, _tile_means(same_colour & mid), rough)
-    return np.stack([_tile_means(mid), rough])
+        same_colour[:, 1:-1] = _is_off_line(values, 2, least)
+        rough = np.where(rough > _PERHAPS_MOSAIC, _average_tiles(same_colour & mid), rough)
+    return np.stack([_average_tiles(mid), rough])
 
 
-def _bent(values: NDArray[np.floating], apart: int, least: float) -> BoolArray:
+def _is_off_line(values: NDArray[np.floating], apart: int, least: float) -> BoolArray:
     """Return whether each pixel is off the line through those so many columns to its left and right."""
     left, middle, right = values[:, : -2 * apart], values[:, apart:-apart], values[:, 2 * apart :]
     return np.asarray(np.abs(right - 2.0 * middle + left) >= least)
 
 
-def _tile_means(marked: BoolArray) -> FloatArray:
+def _average_tiles(marked: BoolArray) -> FloatArray:
     columns = marked.shape[1] // _TILE_PX
     tiles = marked[:, : columns * _TILE_PX].reshape(len(marked), columns, _TILE_PX, marked.shape[2])
     return np.asarray(tiles.mean(axis=(0, 2, 3), dtype=np.float64))

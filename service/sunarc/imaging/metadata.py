@@ -31,10 +31,10 @@ def png_with(png: bytes, document: Mapping[str, Any], *, software: str, created:
     software, created : who made it, and when (RFC 3339).
     """
     chunks = (
-        _chunk(b"gAMA", struct.pack(">I", _LINEAR)),
-        _text("Software", software),
-        _text("Creation Time", created),
-        _text(_KEYWORD, json.dumps(document)),
+        _make_png_chunk(b"gAMA", struct.pack(">I", _LINEAR)),
+        _make_png_text("Software", software),
+        _make_png_text("Creation Time", created),
+        _make_png_text(_KEYWORD, json.dumps(document)),
     )
     return png[:_AFTER_HEADER] + b"".join(chunks) + png[_AFTER_HEADER:]
 
@@ -44,14 +44,14 @@ def jpeg_with(jpeg: bytes, document: Mapping[str, Any]) -> bytes:
     comment = json.dumps(document).encode()
     if len(comment) > _COMMENT_BYTES:
         return jpeg
-    start = _segment_end(jpeg, len(_JPEG)) if jpeg[3:4] == b"\xe0" else len(_JPEG)
+    start = _find_segment_end(jpeg, len(_JPEG)) if jpeg[3:4] == b"\xe0" else len(_JPEG)
     return jpeg[:start] + struct.pack(">BBH", 0xFF, _COMMENT, len(comment) + 2) + comment + jpeg[start:]
 
 
 def embedded_document(encoded: bytes) -> dict[str, Any] | None:
     """Return the document that an image file carries; None where it carries none that is whole."""
     try:
-        texts = _png_texts(encoded) if encoded.startswith(_PNG) else _jpeg_comments(encoded)
+        texts = _list_png_texts(encoded) if encoded.startswith(_PNG) else _list_jpeg_comments(encoded)
         for text in texts:
             document = json.loads(text)
             if isinstance(document, dict) and str(document.get("schema", "")).startswith("sunarc."):
@@ -61,15 +61,15 @@ def embedded_document(encoded: bytes) -> dict[str, Any] | None:
     return None
 
 
-def _chunk(kind: bytes, data: bytes) -> bytes:
+def _make_png_chunk(kind: bytes, data: bytes) -> bytes:
     return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
 
-def _text(keyword: str, text: str) -> bytes:
-    return _chunk(b"iTXt", keyword.encode("latin-1") + b"\0\0\0\0\0" + text.encode())
+def _make_png_text(keyword: str, text: str) -> bytes:
+    return _make_png_chunk(b"iTXt", keyword.encode("latin-1") + b"\0\0\0\0\0" + text.encode())
 
 
-def _png_texts(png: bytes) -> Iterator[str]:
+def _list_png_texts(png: bytes) -> Iterator[str]:
     """Yield the texts of our keyword; they stand before the image data."""
     at, prefix = len(_PNG), _KEYWORD.encode() + b"\0\0\0\0\0"
     while at + 8 <= len(png):
@@ -82,17 +82,17 @@ def _png_texts(png: bytes) -> Iterator[str]:
         at += 12 + length
 
 
-def _jpeg_comments(jpeg: bytes) -> Iterator[str]:
+def _list_jpeg_comments(jpeg: bytes) -> Iterator[str]:
     """Yield the comments before the image data."""
     at = len(_JPEG)
     while jpeg.startswith(_JPEG) and jpeg[at] == 0xFF and jpeg[at + 1] != 0xDA:
-        end = _segment_end(jpeg, at)
+        end = _find_segment_end(jpeg, at)
         if jpeg[at + 1] == _COMMENT:
             yield jpeg[at + 4 : end].decode()
         at = end
 
 
-def _segment_end(jpeg: bytes, at: int) -> int:
+def _find_segment_end(jpeg: bytes, at: int) -> int:
     """Return where the segment that begins at `at` ends."""
     (length,) = struct.unpack_from(">H", jpeg, at + 2)
     return int(at + 2 + length)

@@ -37,7 +37,7 @@ def repeated_rows(image: Image) -> int:
     alike = values[same]
     mid = (alike[:, channels:] > low) & (alike[:, channels:] < high)
     same[same] = np.mean(mid & (alike[:, channels:] != alike[:, :-channels]), axis=1) >= _LEAST_STRUCTURE
-    longest = _longest_run(same)
+    longest = _length_of_longest_run(same)
     return longest + 1 if longest >= max(_FEWEST_ROWS, _ROWS_SHARE * len(values)) else 0
 
 
@@ -57,6 +57,6 @@ def count_missing_levels(image: Image) -> int:
     return steps + 1 if steps <= _COARSEST_STEPS else 0
 
 
-def _longest_run(marked: NDArray[np.bool_]) -> int:
+def _length_of_longest_run(marked: NDArray[np.bool_]) -> int:
     edges = np.flatnonzero(np.diff(np.concatenate([[False], marked, [False]]).astype(np.int8)))
     return int(np.max(edges[1::2] - edges[::2], initial=0))

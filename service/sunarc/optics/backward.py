@@ -63,14 +63,14 @@ def fit_backward(camera: Camera) -> BackwardModel:
     def misfit(coefficients: FloatArray) -> FloatArray:
         return np.asarray(focal * (ideal_point(camera, coefficients, x_hat, y_hat) - target_point)).ravel()
 
-    def slopes(coefficients: FloatArray) -> FloatArray:
+    def misfit_derivatives(coefficients: FloatArray) -> FloatArray:
         return np.asarray(focal * ideal_point_derivatives(camera, coefficients, x_hat, y_hat)).reshape(
             -1, coefficients.size
         )
 
-    found = least_squares(misfit, slopes, first_coefficients(camera, x_hat, y_hat, target_point))
+    found = least_squares(misfit, misfit_derivatives, first_coefficients(camera, x_hat, y_hat, target_point))
     worst = float(np.max(np.linalg.norm(misfit(found).reshape(-1, 2), axis=-1)))
-    radial, decentering = found[2:10] / _scale(camera) ** _ORDERS, np.r_[found[:2], found[10:]]
+    radial, decentering = found[2:10] / _fit_radius(camera) ** _ORDERS, np.r_[found[:2], found[10:]]
     return BackwardModel(radial=tuple(radial.tolist()), decentering=tuple(decentering.tolist()), max_error_px=worst)
 
 
@@ -120,7 +120,7 @@ def back_project(camera: Camera, model: BackwardModel, pixels: ArrayLike) -> Flo
     if camera.displacement is not None:
         pixel = camera.displacement.inverse(pixel.reshape(-1, 2)).reshape(pixel.shape)
     x_hat, y_hat = calibrated(camera, pixel)
-    radial = np.array(model.radial) * _scale(camera) ** _ORDERS
+    radial = np.array(model.radial) * _fit_radius(camera) ** _ORDERS
     coefficients = np.array([*model.decentering[:2], *radial, *model.decentering[2:]])
     point = ideal_point(camera, coefficients, x_hat, y_hat)
     radius = np.hypot(point[..., 0], point[..., 1])
@@ -151,11 +151,11 @@ def first_coefficients(camera: Camera, x_hat: FloatArray, y_hat: FloatArray, tar
     shift = decentering_shift(decentering, radius, x_hat / safe, y_hat / safe)
     point = np.stack([x_hat, y_hat], axis=-1) - np.stack(shift, axis=-1)
     excess = np.linalg.norm(point, axis=-1) - np.linalg.norm(target, axis=-1)
-    radial = np.linalg.lstsq((radius / _scale(camera))[:, None] ** _ORDERS, excess)[0]
+    radial = np.linalg.lstsq((radius / _fit_radius(camera))[:, None] ** _ORDERS, excess)[0]
     return np.concatenate([decentering[:2], radial, decentering[2:]])
 
 
-def _scale(camera: Camera) -> float:
+def _fit_radius(camera: Camera) -> float:
     """Return the radius that the fit counts in, so that its coefficients are of one size."""
     return float(ideal_radius(camera.projection, math.pi / 4 if camera.projection == "perspective" else math.pi / 2))
 
@@ -167,7 +167,7 @@ def ideal_point(camera: Camera, coefficients: FloatArray, x_hat: FloatArray, y_h
     shift_x, shift_y = decentering_shift(np.r_[coefficients[:2], coefficients[10:]], radius, x_hat / safe, y_hat / safe)
     point = np.stack([x_hat - shift_x, y_hat - shift_y], axis=-1)
     adjusted = np.linalg.norm(point, axis=-1)
-    polynomial = np.polynomial.polynomial.polyval(radius / _scale(camera), np.r_[0.0, 0.0, coefficients[2:10]])
+    polynomial = np.polynomial.polynomial.polyval(radius / _fit_radius(camera), np.r_[0.0, 0.0, coefficients[2:10]])
     factor = 1.0 - polynomial / np.where(adjusted > 0.0, adjusted, 1.0)
     return np.asarray(point * factor[..., None])
 
@@ -183,7 +183,7 @@ def ideal_point_derivatives(
     point = np.stack([x_hat, y_hat], axis=-1) - np.stack(decentering_shift(decentering, radius, u, v), axis=-1)
     adjusted = np.linalg.norm(point, axis=-1)
     along = point / np.where(adjusted > 0.0, adjusted, 1.0)[:, None]
-    powers = (radius / _scale(camera))[:, None] ** _ORDERS
+    powers = (radius / _fit_radius(camera))[:, None] ** _ORDERS
     ratio = (powers @ coefficients[2:10]) / np.where(adjusted > 0.0, adjusted, 1.0)
     # point (1 - P / |point|): its derivative by the point is (1 - P / |point|) I + P / |point| e e'
     by_shift = -(1.0 - ratio)[:, None, None] * shift

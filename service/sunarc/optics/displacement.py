@@ -57,12 +57,14 @@ class Displacement:
 
     def at(self, pixels: FloatArray) -> FloatArray:
         """Return (n, 2): the displacement of pixels (n, 2) of the lens alone, px; NaN for NaN."""
-        return _kernels.displacement_at(*_box_and_coefficients(self), np.ascontiguousarray(pixels, dtype=np.float64))
+        return _kernels.displacement_at(
+            *_get_box_and_coefficients(self), np.ascontiguousarray(pixels, dtype=np.float64)
+        )
 
     def value_and_slopes(self, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the displacement as `at` does, and its derivatives by the pixel (n, 2, 2), last axis the pixel's."""
         pixel = np.ascontiguousarray(pixels, dtype=np.float64)
-        return _kernels.displacement_and_slopes(*_box_and_coefficients(self), pixel)
+        return _kernels.displacement_and_slopes(*_get_box_and_coefficients(self), pixel)
 
     def inverse(self, pixels: FloatArray) -> FloatArray:
         """Return (n, 2): the pixels of the lens alone that are displaced to pixels (n, 2).
@@ -71,11 +73,11 @@ class Displacement:
         round gains five digits. NaN where it does not converge, as with a field that folds the image over.
         """
         pixel = np.ascontiguousarray(pixels, dtype=np.float64)
-        return _kernels.displacement_inverse(*_box_and_coefficients(self), pixel)
+        return _kernels.displacement_inverse(*_get_box_and_coefficients(self), pixel)
 
 
 @lru_cache(maxsize=64)
-def _box_and_coefficients(field: Displacement) -> tuple[FloatArray, FloatArray]:
+def _get_box_and_coefficients(field: Displacement) -> tuple[FloatArray, FloatArray]:
     """Return the box as (centre x, y, half-width x, y), and the coefficients (2, orders of x, orders of y), scaled."""
     orders = np.array(field.orders, dtype=np.int64).reshape(-1, 2)
     coefficients = np.zeros((2, *np.max(orders, axis=0, initial=1)))
@@ -127,7 +129,7 @@ class WaveBasis:
     def completed(self, *, length_px: float) -> WaveBasis:
         """Return this basis with all the waves on its box that a field of this length needs."""
         reach = _REACH / length_px
-        return WaveBasis(center_px=self.center_px, half_px=self.half_px, orders=_wave_orders(self.half_px, reach))
+        return WaveBasis(center_px=self.center_px, half_px=self.half_px, orders=_list_wave_orders(self.half_px, reach))
 
     @classmethod
     def of(cls, displacement: Displacement) -> WaveBasis:
@@ -172,11 +174,11 @@ def wave_basis(*, width: int, height: int, shortest_px: float, longest_px: float
     """
     half = tuple(0.5 * size + _MARGIN_LENGTHS * longest_px for size in (width, height))
     box = (half[0], half[1])
-    orders = _wave_orders(box, _REACH / shortest_px)
+    orders = _list_wave_orders(box, _REACH / shortest_px)
     return WaveBasis(center_px=((width - 1) / 2.0, (height - 1) / 2.0), half_px=box, orders=orders)
 
 
-def _wave_orders(half_px: tuple[float, float], reach: float) -> IntArray:
+def _list_wave_orders(half_px: tuple[float, float], reach: float) -> IntArray:
     """Return the orders of all waves on a box whose frequency is at most `reach`."""
     # a half wave on a box of half-width h has the frequency pi / 2h
     number = [math.ceil(2.0 * h * reach / math.pi) for h in half_px]

@@ -149,15 +149,17 @@ def inverse_table(camera: Camera) -> InverseTable:
     limit = rising_limit(camera, up_to=largest_angle(camera))
     largest = float(distorted_radius(camera, limit))
     radius = np.linspace(0.0, largest, _PIECES + 1)
-    theta = _angles(camera, radius, limit)
+    theta = _solve_angles(camera, radius, limit)
     slope = 1.0 / radius_slope(camera, theta)
     safe = np.where(radius > 0.0, radius, 1.0)
     scale = np.where(radius > 0.0, np.sin(theta) / safe, slope[0])
     scale_slope = np.where(radius > 0.0, (np.cos(theta) * slope - scale) / safe, 0.0)
-    scale_slope[0] = _first_slope(camera, slope[0])
+    scale_slope[0] = _slope_on_axis(camera, slope[0])
     cosine, cosine_slope = np.cos(theta), -np.sin(theta) * slope
     step = largest / _PIECES
-    pieces = np.concatenate([_cubic(scale, scale_slope * step), _cubic(cosine, cosine_slope * step)], axis=1)
+    pieces = np.concatenate(
+        [_hermite_cubics(scale, scale_slope * step), _hermite_cubics(cosine, cosine_slope * step)], axis=1
+    )
     p1, p2, p3, p4 = camera.decentering
     beside = camera.displacement
     constants = InverseConstants(
@@ -172,7 +174,7 @@ def inverse_table(camera: Camera) -> InverseTable:
         p4,
         1.0 / step,
         largest * (1.0 + 1e-12),
-        _exact_from(camera, pieces, radius, limit),
+        _find_inexact_radius(camera, pieces, radius, limit),
     )
     return InverseTable(
         camera=camera,
@@ -184,17 +186,17 @@ def inverse_table(camera: Camera) -> InverseTable:
     )
 
 
-def _exact_from(camera: Camera, pieces: FloatArray, radius: FloatArray, limit: float) -> float:
+def _find_inexact_radius(camera: Camera, pieces: FloatArray, radius: FloatArray, limit: float) -> float:
     """Return the radius of the first piece whose middle is off by more than `_TABLE_ERROR`; infinite without one."""
     middle = 0.5 * (radius[1:] + radius[:-1])
     half = 0.5 ** np.arange(4)
-    theta = _angles(camera, middle, limit)
+    theta = _solve_angles(camera, middle, limit)
     off = np.abs(pieces[:, :4] @ half * middle - np.sin(theta)) + np.abs(pieces[:, 4:] @ half - np.cos(theta))
     coarse = np.flatnonzero(off > _TABLE_ERROR)
     return float(radius[coarse[0]]) if coarse.size else math.inf
 
 
-def _angles(camera: Camera, radius: FloatArray, limit: float) -> FloatArray:
+def _solve_angles(camera: Camera, radius: FloatArray, limit: float) -> FloatArray:
     grid = np.linspace(0.0, limit, 1025)
     theta = np.interp(radius, distorted_radius(camera, grid), grid)
     for _ in range(_NEWTON):
@@ -203,13 +205,13 @@ def _angles(camera: Camera, radius: FloatArray, limit: float) -> FloatArray:
     return np.asarray(theta)
 
 
-def _first_slope(camera: Camera, inverse_slope: float) -> float:
+def _slope_on_axis(camera: Camera, inverse_slope: float) -> float:
     """Return d(sin θ / r)/dr on the axis, where r = aθ + bθ² + …: -b / a³."""
     quadratic = camera.radial[0] / (math.pi / 2) ** 2
     return -quadratic * inverse_slope**3
 
 
-def _cubic(value: FloatArray, slope: FloatArray) -> FloatArray:
+def _hermite_cubics(value: FloatArray, slope: FloatArray) -> FloatArray:
     """Return (n, 4): the Hermite cubics between knots, for a place from 0 to 1."""
     rise = value[1:] - value[:-1]
     return np.stack(

@@ -30,7 +30,7 @@ def rotation_matrix(rotation_cam_enu: ArrayLike) -> FloatArray:
     """Return the (3, 3) matrix that takes east-north-up to the camera frame, from its rotation vector in radians."""
     vector = np.array(rotation_cam_enu, dtype=np.float64)
     if vector.ndim > 1:
-        return _matrices(vector)
+        return _rotation_matrices(vector)
     # a fit needs one at a time, thousands of times
     return _kernels.rotation_and_jacobian(vector)[0]
 
@@ -41,7 +41,7 @@ def rotation_vector(matrix_cam_enu: ArrayLike) -> tuple[float, float, float]:
     return float(x), float(y), float(z)
 
 
-def _matrices(vectors: FloatArray) -> FloatArray:
+def _rotation_matrices(vectors: FloatArray) -> FloatArray:
     """Return the matrices (n, 3, 3) of rotation vectors (n, 3), by Rodrigues' formula."""
     angle = np.linalg.norm(vectors, axis=-1)[..., None, None]
     x, y, z = np.moveaxis(vectors, -1, 0)

@@ -153,7 +153,7 @@ class Calibration:
         if self._solved is None:
             rows = _view_rows(self.view, pixels.rows)
         else:
-            rows = np.asarray(self._ready.back_project(np.ascontiguousarray(pixels.rows)), dtype=np.float64)
+            rows = np.asarray(self._make_lookup.back_project(np.ascontiguousarray(pixels.rows)), dtype=np.float64)
         return Directions(
             zenith_deg=pixels.answer(rows[:, 0]),
             azimuth_deg=pixels.answer(rows[:, 1]),
@@ -185,12 +185,12 @@ class Calibration:
         """
         self._require_answers(accept_refused=accept_refused)
         angles = asked(zenith_deg=zenith_deg, azimuth_deg=azimuth_deg)
-        directions = _directions(angles)
+        directions = _make_directions(angles)
         if self._solved is None:
             pixels = self.view.project(directions)
-            rows = np.column_stack([pixels, np.full((len(pixels), 4), np.nan), _inside(self.view, pixels)])
+            rows = np.column_stack([pixels, np.full((len(pixels), 4), np.nan), _is_in_image(self.view, pixels)])
         else:
-            rows = np.asarray(self._ready.project(directions), dtype=np.float64)
+            rows = np.asarray(self._make_lookup.project(directions), dtype=np.float64)
         return PixelPositions(
             x_px=angles.answer(rows[:, 0]),
             y_px=angles.answer(rows[:, 1]),
@@ -240,13 +240,13 @@ class Calibration:
             raise InputError(field="cloud_height_m", problem=problem, remedy="give the height of a cloud base in m")
         sigma_m = number(cloud_height_sigma_m, field="cloud_height_sigma_m")
         pixels, site = np.ascontiguousarray(points.rows[:, :2]), solved.site
-        cloud = cloud_positions(self._ready, pixels, height_m=height_m, height_sigma_m=sigma_m, site=site)
+        cloud = cloud_positions(self._make_lookup, pixels, height_m=height_m, height_sigma_m=sigma_m, site=site)
         shadow = None
         if time is not None:
             unix_s = one_time(time, remedy="give one time")
             with np.errstate(all="ignore"):  # a cloud without a place has no shadow
-                shadow = _positions(points, shadows(cloud, sun_directions(unix_s, site), site))
-        return _positions(points, cloud, shadow)
+                shadow = _make_cloud_positions(points, shadows(cloud, sun_directions(unix_s, site), site))
+        return _make_cloud_positions(points, cloud, shadow)
 
     def draw(self, draws: int, *, seed: int, accept_refused: bool = False) -> Draws:
         """Return possible truths: joint draws of the errors of lens, pose and field, as `?draws=` does.
@@ -293,8 +293,8 @@ class Calibration:
         >>> ax.get_xlabel()
         'x (px)'
         """
-        plots, solved = _plots(), self._require_solved("a plot of residuals")
-        residuals = self._residuals(solved, sightings)
+        plots, solved = _import_plots(), self._require_solved("a plot of residuals")
+        residuals = self._compute_residuals(solved, sightings)
         if residuals is None:
             raise InputError(
                 field="sightings", problem="missing: a loaded calibration has none", remedy="give them to plot"
@@ -316,8 +316,8 @@ class Calibration:
         >>> ax.get_ylim()
         (np.float64(1747.5), np.float64(-0.5))
         """
-        plots, solved = _plots(), self._require_solved("a plot of uncertainty")
-        drawn: Axes = plots.draw_uncertainty(plots.axes_or_new(ax), solved, self._ready)
+        plots, solved = _import_plots(), self._require_solved("a plot of uncertainty")
+        drawn: Axes = plots.draw_uncertainty(plots.axes_or_new(ax), solved, self._make_lookup)
         return drawn
 
     def plot_sky(self, sightings: Sightings | None = None, *, ax: Axes | None = None) -> Axes:
@@ -334,12 +334,12 @@ class Calibration:
         >>> sunarc.load("calibration.json").plot_sky().name
         'polar'
         """
-        plots, solved = _plots(), self._require_solved("a plot of the sky")
+        plots, solved = _import_plots(), self._require_solved("a plot of the sky")
         if ax is not None and ax.name != "polar":
             remedy = "make them with plt.subplot(projection='polar')"
             raise InputError(field="ax", problem="are not polar", remedy=remedy)
         polar = plots.axes_or_new(ax, projection="polar")
-        drawn: Axes = plots.draw_sky(polar, solved, self._residuals(solved, sightings))
+        drawn: Axes = plots.draw_sky(polar, solved, self._compute_residuals(solved, sightings))
         return drawn
 
     # What it is written as.
@@ -361,8 +361,8 @@ class Calibration:
         """
         solved, document = self._require_solved("arrays"), self._require_document("arrays")
         if every_pixel:
-            return _dataset(map_table(back_projection_map(self._ready), document, masks={}))
-        return _dataset(calibration_table(solved, document)[0])
+            return _make_dataset(map_table(back_projection_map(self._make_lookup), document, masks={}))
+        return _make_dataset(calibration_table(solved, document)[0])
 
     def save(self, path: StrPath) -> None:
         """Write the calibration document, which `sunarc.load` and all commands read.
@@ -406,7 +406,7 @@ class Calibration:
     # Internal.
 
     @cached_property
-    def _ready(self) -> Lookup:
+    def _make_lookup(self) -> Lookup:
         return lookup(self._require_solved("uncertainty"))
 
     def require_usable(self) -> Solved:
@@ -418,7 +418,7 @@ class Calibration:
         """Return the camera as one to begin a fit at; internal."""
         return StatedStart(self._name, self.view, self._solved)
 
-    def _residuals(self, solved: Solved, sightings: Sightings | None) -> Residuals | None:
+    def _compute_residuals(self, solved: Solved, sightings: Sightings | None) -> Residuals | None:
         """Return the residuals of sightings, or of those of the fit; None without sightings."""
         given = self._sightings if sightings is None else sightings
         return None if given is None else compute_residuals(solved, given.at(notebook_site(solved.site)))
@@ -497,7 +497,7 @@ class Draws:
         (16,)
         """
         angles = asked(zenith_deg=zenith_deg, azimuth_deg=azimuth_deg)
-        directions = _directions(angles)
+        directions = _make_directions(angles)
         rows = np.stack([self._ensemble.project(draw, directions) for draw in self._ensemble])
         return PixelPositions(
             x_px=angles.answer(rows[..., 0], before=_BY_DRAW),
@@ -555,7 +555,7 @@ def compare(first: Calibration | StrPath, second: Calibration | StrPath) -> Comp
     return compared(one.view, other.view)
 
 
-def _directions(angles: Asked) -> FloatArray:
+def _make_directions(angles: Asked) -> FloatArray:
     """Return the unit vectors (n, 3) of zenith angles and azimuths."""
     return unit_vectors(direction_from_angles(zenith_deg=angles.rows[:, 0], azimuth_deg=angles.rows[:, 1]))
 
@@ -564,16 +564,16 @@ def _view_rows(view: View, pixels: FloatArray) -> FloatArray:
     """Return (n, 7) as `Lookup.back_project` does, of a camera that states no uncertainty."""
     directions = view.unproject(pixels)
     angles = np.stack(angles_from_direction(directions), axis=-1)
-    inside = _inside(view, pixels) * np.isfinite(directions[:, 0])
+    inside = _is_in_image(view, pixels) * np.isfinite(directions[:, 0])
     return np.column_stack([angles, directions, np.full(len(pixels), np.nan), inside])
 
 
-def _inside(view: View, pixels: FloatArray) -> FloatArray:
+def _is_in_image(view: View, pixels: FloatArray) -> FloatArray:
     """Return (n,): 1 of the pixels (n, 2) within the image, else 0."""
     return inside_image(pixels, (view.width, view.height)).astype(np.float64)
 
 
-def _positions(points: Asked, found: Located, shadow: CloudPositions | None = None) -> CloudPositions:
+def _make_cloud_positions(points: Asked, found: Located, shadow: CloudPositions | None = None) -> CloudPositions:
     east, north, up = found.position_m.T
     return CloudPositions(
         east_m=points.answer(east),
@@ -588,7 +588,7 @@ def _positions(points: Asked, found: Located, shadow: CloudPositions | None = No
     )
 
 
-def _plots() -> Any:  # noqa: ANN401 - a module of an extra
+def _import_plots() -> Any:  # noqa: ANN401 - a module of an extra
     """Return the module that draws; InputError names the extra that it needs."""
     extra_module("matplotlib", extra="plots")
     from sunarc.public import plots  # noqa: PLC0415 - matplotlib is of an extra
@@ -596,7 +596,7 @@ def _plots() -> Any:  # noqa: ANN401 - a module of an extra
     return plots
 
 
-def _dataset(table: Table) -> xarray.Dataset:
+def _make_dataset(table: Table) -> xarray.Dataset:
     """Return a table as a Dataset."""
     made = extra_module("xarray", extra="xarray")
     arrays = {name: (one.dimensions, one.values, dict(one.attributes)) for name, one in table.variables.items()}

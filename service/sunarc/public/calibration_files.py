@@ -157,13 +157,13 @@ def compare_files(first: Path, second: Path, *, differences: Path | None = None)
     views = read_view_file(first), read_view_file(second)
     found = compare(*views)
     if differences is not None:
-        _write(differences, found, title=f"{second.name} minus {first.name}")
+        _write_differences(differences, found, title=f"{second.name} minus {first.name}")
     ranges = zip(ZENITH_RANGES_DEG, found.by_zenith, strict=True)
     return {
         "formats": [view.form for view in views],
-        **{name: _number(value) for name, value in asdict(found.total).items()},
+        **{name: _finite_or_none(value) for name, value in asdict(found.total).items()},
         "by_zenith": [
-            {"zenith_deg": list(bounds), **{name: _number(value) for name, value in asdict(one).items()}}
+            {"zenith_deg": list(bounds), **{name: _finite_or_none(value) for name, value in asdict(one).items()}}
             for bounds, one in ranges
         ],
         "rotation_deg": found.rotation_deg,
@@ -176,11 +176,11 @@ def compare_files(first: Path, second: Path, *, differences: Path | None = None)
     }
 
 
-def _number(value: float) -> float | None:
+def _finite_or_none(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
-def _write(path: Path, found: Comparison, *, title: str) -> None:
+def _write_differences(path: Path, found: Comparison, *, title: str) -> None:
     zenith, azimuth = angles_from_direction(found.directions)
 
     def column(values: FloatArray, units: str, meaning: str) -> Variable:
@@ -242,7 +242,7 @@ def rectify_files(
         folder.mkdir(parents=True, exist_ok=True)
     written = []
     for path in images:
-        found = _remap_map(path, solved, tables)
+        found = _remap_image(path, solved, tables)
         target = folder / f"{path.stem}_{grid}.{'png' if grid == 'sky' else 'tif'}"
         if grid == "sky":
             with disk_errors(target):
@@ -255,8 +255,8 @@ def rectify_files(
     return written
 
 
-def _remap_map(path: Path, solved: Calibration, tables: tuple[NDArray[Any], NDArray[Any]]) -> NDArray[Any]:
-    image = _in_colour(path, read_image(path))
+def _remap_image(path: Path, solved: Calibration, tables: tuple[NDArray[Any], NDArray[Any]]) -> NDArray[Any]:
+    image = _restore_colours(path, read_image(path))
     size = (solved.camera.width, solved.camera.height)
     if (image.shape[1], image.shape[0]) != size:
         problem = f"{image.shape[1]}x{image.shape[0]} px, the calibration is of {size[0]}x{size[1]}"
@@ -264,7 +264,7 @@ def _remap_map(path: Path, solved: Calibration, tables: tuple[NDArray[Any], NDAr
     return remapped(image, *tables)
 
 
-def _in_colour(path: Path, image: Image) -> Image:
+def _restore_colours(path: Path, image: Image) -> Image:
     """Return the image in its colours where it is a composite of ours that says which mosaic it is."""
     said = (embedded_document(read_file(path)) or {}).get("bayer")
     bayer: Bayer | None = next((known for known in get_args(Bayer) if known == said), None)

@@ -72,7 +72,7 @@ class SunDetection:
 
     def sightings(self) -> Sightings:
         """Return the sighting where it is accepted, else none; InputError where the picture's time was not given."""
-        return _sightings(
+        return _make_sightings(
             self.time,
             x_px=[self.x_px] if self.accepted else [],
             y_px=[self.y_px] if self.accepted else [],
@@ -166,7 +166,7 @@ class StarDetections:
     def sightings(self) -> Sightings:
         """Return the named stars as sightings where the names are accepted, else none."""
         rows = slice(None if self.accepted else 0)
-        return _sightings(
+        return _make_sightings(
             self.time,
             x_px=self.x_px[rows],
             y_px=self.y_px[rows],
@@ -177,7 +177,7 @@ class StarDetections:
         )
 
 
-def _sightings(time: datetime | None, **columns: Any) -> Sightings:  # noqa: ANN401 - numbers of each
+def _make_sightings(time: datetime | None, **columns: Any) -> Sightings:  # noqa: ANN401 - numbers of each
     """Return sightings of one time."""
     if time is None:
         raise InputError(field="time", problem="missing", remedy="give find_sun the time of the picture")
@@ -236,13 +236,13 @@ def find_stars(
         one = detect_star_image(read_picture(picture, field=name), utc_time(at), place, options, name=name, size=size)
         seen, size = [*seen, one], size or one.size
     if solved is None:
-        found = _found_blind(seen, place, options)
+        found = _find_blind(seen, place, options)
     else:
-        found = [_found(one, calibration, one.reason) for one in named_or_flipped(seen, solved, options)]
+        found = [_make_star_detections(one, calibration, one.reason) for one in named_or_flipped(seen, solved, options)]
     return found if several else found[0]
 
 
-def _found_blind(seen: list[StarImage], place: Place, options: StarOptions) -> list[StarDetections]:
+def _find_blind(seen: list[StarImage], place: Place, options: StarOptions) -> list[StarDetections]:
     """Return the stars of images of one night, named by the camera that they give."""
     blind = blind_result(seen, place, options)
     made = None
@@ -252,10 +252,13 @@ def _found_blind(seen: list[StarImage], place: Place, options: StarOptions) -> l
         known = as_documented(document, blind.calibration)
         made = Calibration(calibration_view(known), document=document, solved=known)
     said = str(blind.as_json()["reason"])
-    return [_found(one, made, one.reason if made is not None and made.accepted else said) for one in blind.images]
+    return [
+        _make_star_detections(one, made, one.reason if made is not None and made.accepted else said)
+        for one in blind.images
+    ]
 
 
-def _found(image: StarImage, calibration: Calibration | None, reason: str) -> StarDetections:
+def _make_star_detections(image: StarImage, calibration: Calibration | None, reason: str) -> StarDetections:
     """Return the named stars of an image that are no saturated ones."""
     pixels, sigma_px, names, directions = np.zeros((0, 2)), np.zeros(0), np.zeros(0, np.str_), np.zeros((0, 3))
     matches, stars, sky, predicted = image.matches, image.stars, image.sky, image.predicted

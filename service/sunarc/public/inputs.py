@@ -50,17 +50,17 @@ def unix_seconds(time: Times, *, field: str = "time") -> FloatArray:
     if array is not None:
         time = array.to_numpy()
     elif not isinstance(time, str | datetime) and hasattr(time, "dtype") and hasattr(time, "to_numpy"):
-        time = _pandas_values(time, field=field)
-    values = np.asarray(time if hasattr(time, "dtype") else _as_objects(time))
+        time = _convert_pandas(time, field=field)
+    values = np.asarray(time if hasattr(time, "dtype") else _make_object_array(time))
     if values.dtype.kind == "M":
-        return _datetime64_seconds(values, field=field)
+        return _convert_datetime64(values, field=field)
     if values.dtype.kind not in "OUT":
         raise InputError(field=field, problem=f"{_show_value(time)} is no time", remedy=_TIMES)
-    flat = [_one_time_seconds(one, _at(field, values, n)) for n, one in enumerate(values.ravel().tolist())]
+    flat = [_convert_one_time(one, _name_element(field, values, n)) for n, one in enumerate(values.ravel().tolist())]
     return np.array(flat, dtype=np.float64).reshape(values.shape)
 
 
-def _as_objects(time: object) -> np.ndarray[Any, np.dtype[Any]]:
+def _make_object_array(time: object) -> np.ndarray[Any, np.dtype[Any]]:
     """Return a list of any depth, or one time, as an array of objects; datetime64 keep their type."""
     if isinstance(time, np.datetime64):
         return np.asarray(time)
@@ -69,7 +69,7 @@ def _as_objects(time: object) -> np.ndarray[Any, np.dtype[Any]]:
     return np.array(list(time), dtype=object)
 
 
-def _pandas_values(time: Any, *, field: str) -> np.ndarray[Any, np.dtype[Any]]:  # noqa: ANN401 - pandas is not required
+def _convert_pandas(time: Any, *, field: str) -> np.ndarray[Any, np.dtype[Any]]:  # noqa: ANN401 - pandas is not required
     """Return the values of a series or an index; those with a time zone as datetime64 in UTC."""
     if getattr(time.dtype, "kind", "O") != "M":
         return np.asarray(time.to_numpy(dtype=object))
@@ -79,11 +79,13 @@ def _pandas_values(time: Any, *, field: str) -> np.ndarray[Any, np.dtype[Any]]: 
     return np.asarray(getattr(utc, "dt", utc).tz_localize(None).to_numpy())
 
 
-def _datetime64_seconds(values: np.ndarray[Any, np.dtype[Any]], *, field: str) -> FloatArray:
+def _convert_datetime64(values: np.ndarray[Any, np.dtype[Any]], *, field: str) -> FloatArray:
     """Return the seconds of datetime64 of any unit; whole microseconds give the digits that `datetime` gives."""
     if np.any(np.isnat(values)):
         missing = int(np.argmax(np.isnat(values)))
-        raise InputError(field=_at(field, values, missing), problem="is not a time (NaT)", remedy="leave the row out")
+        raise InputError(
+            field=_name_element(field, values, missing), problem="is not a time (NaT)", remedy="leave the row out"
+        )
     unit, count = np.datetime_data(values.dtype)
     if unit not in _UNIT_NS:
         raise InputError(field=field, problem=f"datetime64[{unit}] is too coarse or too fine", remedy="use us or ns")
@@ -93,7 +95,7 @@ def _datetime64_seconds(values: np.ndarray[Any, np.dtype[Any]], *, field: str) -
     return np.asarray(microseconds / 1e6 + rest * 1e-9)
 
 
-def _one_time_seconds(one: object, field: str) -> float:
+def _convert_one_time(one: object, field: str) -> float:
     """Return the seconds of a text, a `datetime` or a datetime64."""
     if isinstance(one, str):
         return parse_time(one, where=field).timestamp()
@@ -104,11 +106,11 @@ def _one_time_seconds(one: object, field: str) -> float:
             raise InputError(field=field, problem=f"{one.isoformat(sep=' ')} has no time zone", remedy=_ZONE)
         return one.timestamp()
     if isinstance(one, np.datetime64):
-        return float(_datetime64_seconds(np.asarray(one), field=field))
+        return float(_convert_datetime64(np.asarray(one), field=field))
     raise InputError(field=field, problem=f"{_show_value(one)} is no time", remedy=_TIMES)
 
 
-def _at(field: str, values: np.ndarray[Any, np.dtype[Any]], number: int) -> str:
+def _name_element(field: str, values: np.ndarray[Any, np.dtype[Any]], number: int) -> str:
     """Return the name of an element of an argument: `x_px[3]`, `x_px[0, 2]`; of a single one the argument's."""
     if values.ndim == 0:
         return field
@@ -139,7 +141,7 @@ def numbers(value: Values, *, field: str) -> FloatArray:
     if not np.all(finite):
         where = int(np.argmin(finite))
         shown = f"{found.ravel()[where]:g} is not a finite number"
-        raise InputError(field=_at(field, found, where), problem=shown, remedy="leave it out, or correct it")
+        raise InputError(field=_name_element(field, found, where), problem=shown, remedy="leave it out, or correct it")
     return np.asarray(found)
 
 
@@ -208,10 +210,10 @@ def asked(**columns: Values) -> Asked:
     if arrays:
         xarray = sys.modules["xarray"]
         named = [one if data_array(one) is not None else xarray.DataArray(one) for one in columns.values()]
-        broadcast = _fitting(columns, lambda: xarray.broadcast(*named))
+        broadcast = _require_fitting_shapes(columns, lambda: xarray.broadcast(*named))
         like, columns = broadcast[0], dict(zip(columns, broadcast, strict=True))
     found = {name: numbers(one, field=name) for name, one in columns.items()}
-    parts = _fitting(found, lambda: np.broadcast_arrays(*found.values()))
+    parts = _require_fitting_shapes(found, lambda: np.broadcast_arrays(*found.values()))
     rows = np.stack([part.ravel() for part in parts], axis=-1)
     return Asked(rows, parts[0].shape, like)
 
@@ -230,7 +232,7 @@ def asked_times(time: Times) -> Asked:
     return Asked(unix_s.reshape(-1, 1), unix_s.shape, data_array(time))
 
 
-def _fitting(columns: Mapping[str, Values], broadcast: Callable[[], Result]) -> Result:
+def _require_fitting_shapes(columns: Mapping[str, Values], broadcast: Callable[[], Result]) -> Result:
     """Return the broadcast values; InputError where the shapes do not fit."""
     try:
         return broadcast()

@@ -69,11 +69,11 @@ def learn_mask_from_files(paths: Sequence[Path], calibration: Calibration, optio
             timed.append((read_time(path, options), path))
         except (FindingError, InputError):
             unread += 1
-    images = ((time.timestamp(), _image(path, options)) for time, path in sorted(timed))
+    images = ((time.timestamp(), _read_or_none(path, options)) for time, path in sorted(timed))
     return learn_mask(itertools.chain(images, itertools.repeat((math.inf, None), unread)), calibration)
 
 
-def _image(path: Path, options: StarOptions) -> Image | None:
+def _read_or_none(path: Path, options: StarOptions) -> Image | None:
     try:
         return read_timed(path, options)[1]
     except (FindingError, InputError):

@@ -93,7 +93,7 @@ def residual_figure(calibration: Calibration, residuals: Residuals) -> Figure:
         draw_angles(panels[f"deg_{name}"], across, residuals)
         letter(panels[f"deg_{name}"], x=label, y="angle between seen and true sun (°)")
     for panel in (panels["px_t"], panels["deg_t"]):
-        _count_in_time(panel)
+        _set_time_axis(panel)
         key(panel, location="upper left", columns=2)
     draw_arrows(panels["map"], calibration.camera, residuals)
     figure.suptitle(headline(calibration), fontsize=TITLE_PT)
@@ -109,7 +109,7 @@ def headline(calibration: Calibration) -> str:
     return f"{counts}, {scatter} ({calibration.method} method, {verdict})"
 
 
-def _count_in_time(axes: Axes) -> None:
+def _set_time_axis(axes: Axes) -> None:
     locator = AutoDateLocator(maxticks=7)  # type: ignore[no-untyped-call] # matplotlib's stubs leave dates out
     axes.xaxis.set_major_locator(locator)
     axes.xaxis.set_major_formatter(ConciseDateFormatter(locator))  # type: ignore[no-untyped-call] # same
@@ -158,7 +158,7 @@ def draw_arrows(axes: Axes, camera: Camera, residuals: Residuals) -> Axes:
     square = np.sum(residuals.offset_px[residuals.used] ** 2, axis=-1)
     unit = nice_number(float(np.sqrt(np.mean(square)))) if square.size else 1.0
     per_px = _ARROW * camera.width / unit
-    _outline(axes, camera)
+    _draw_outline(axes, camera)
     for belongs, name, colour, key_x in (
         (~residuals.used, "rejected", VERMILLION, 0.5),
         (residuals.used, "used", BLUE, 0.04),
@@ -173,14 +173,14 @@ def draw_arrows(axes: Axes, camera: Camera, residuals: Residuals) -> Axes:
         if rows.size:
             label = f"{unit:g} px, {name} ({rows.size} of {int(belongs.sum())} drawn)"
             axes.quiverkey(arrows, key_x, 1.025, unit, label, labelpos="E", fontproperties={"size": LETTERING_PT})
-    _as_the_picture(axes, camera)
+    _orient_as_picture(axes, camera)
     letter(axes, x="x (px)", y="y (px)")
     title = f"seen − predicted over the image, {per_px:,.0f} × as long, cut at {_LONGEST_ARROW * unit:g} px"
     axes.set_title(title, fontsize=TITLE_PT, loc="left", pad=34.0)
     return axes
 
 
-def _outline(axes: Axes, camera: Camera) -> None:
+def _draw_outline(axes: Axes, camera: Camera) -> None:
     """Draw the horizon, where north is on it, and the zenith."""
     azimuth = np.linspace(0.0, 360.0, 361)
     horizon = project(camera, direction_from_angles(zenith_deg=90.0, azimuth_deg=azimuth))
@@ -239,14 +239,14 @@ def draw_uncertainty(axes: Axes, calibration: Calibration, ready: Lookup) -> Axe
     sigma = np.where(of_the_sky, found[:, 5], np.nan).reshape(len(y), len(x))
     if np.any(np.isfinite(sigma)):
         _draw_sigma(axes, x, y, sigma)
-    _outline(axes, camera)
-    _as_the_picture(axes, camera)
+    _draw_outline(axes, camera)
+    _orient_as_picture(axes, camera)
     letter(axes, x="x (px)", y="y (px)", title="1-sigma per axis of a pixel's direction")
     axes.grid(visible=False)
     return axes
 
 
-def _as_the_picture(axes: Axes, camera: Camera) -> None:
+def _orient_as_picture(axes: Axes, camera: Camera) -> None:
     """Turn axes as the picture is: x right, y down, all of it."""
     axes.set_xlim(-0.5, camera.width - 0.5)
     axes.set_ylim(camera.height - 0.5, -0.5)
@@ -267,7 +267,7 @@ def draw_sky(axes: Axes, calibration: Calibration, residuals: Residuals | None) 
     sigma = sky_sigma(calibration, zenith_deg=zenith, azimuth_deg=azimuth)
     if not isinstance(axes, PolarAxes):  # for the type checker: matplotlib's stubs say Axes
         raise TypeError
-    _compass(axes, calibration.camera)
+    _label_compass(axes, calibration.camera)
     if np.any(np.isfinite(sigma)):
         _draw_sigma(axes, np.radians(azimuth), zenith, sigma)
     if residuals is not None:
@@ -300,7 +300,7 @@ def within_image(camera: Camera, directions: FloatArray) -> BoolArray:
 _NEAR_ZENITH_DEG = 5.0
 
 
-def _compass(axes: PolarAxes, camera: Camera) -> None:
+def _label_compass(axes: PolarAxes, camera: Camera) -> None:
     """Name azimuth and zenith angle; north lies where it does in the picture, and east on the same side of it."""
     zenith, north, east = project(
         camera,

@@ -137,7 +137,7 @@ def _try_flips(named: list[StarImage], seen: Sequence[StarImage], calibration: C
     if any(one.matches is not None and one.matches.accepted for one in named):
         return named
     pairs = zip(named, seen, strict=True)
-    read = [_view(replace(one, stars=as_read.stars), calibration.camera) for one, as_read in pairs]
+    read = [_make_view(replace(one, stars=as_read.stars), calibration.camera) for one, as_read in pairs]
     size = (calibration.camera.width, calibration.camera.height)
     flip, counts = matching_flip([view for view in read if view is not None], size)
     count_of = iter(counts)
@@ -156,7 +156,7 @@ def named_stars(images: Sequence[StarImage], calibration: Calibration, *, within
         one if one.sky is None else replace(one, predicted=predict_stars(calibration, one.sky, within_px=within_px))
         for one in images
     ]
-    views = {row: view for row, one in enumerate(seen) if (view := _view(one, calibration.camera)) is not None}
+    views = {row: view for row, one in enumerate(seen) if (view := _make_view(one, calibration.camera)) is not None}
     found = dict(zip(views, match_views(list(views.values())), strict=True))
     return [
         replace(
@@ -192,7 +192,7 @@ def write_star_sightings(
         directions.append(beside.directions)
         air = np.stack([beside.temperature, beside.pressure])
     sun = len(rows)
-    found = [_sightings(image) for image in images]
+    found = [_make_sighting_rows(image) for image in images]
     stars = [row for part, _ in found for row in part]
     around = np.concatenate([np.zeros((0, 3)), *(part for _, part in found)])
     sigma_px = np.array([row[3] for row in stars], dtype=np.float64)
@@ -203,7 +203,7 @@ def write_star_sightings(
     return write_sightings(target, rows, air=(air[0], air[1]), directions=np.concatenate(directions)) - sun
 
 
-def _sightings(image: StarImage) -> tuple[list[tuple[datetime, float, float, float | None, str]], FloatArray]:
+def _make_sighting_rows(image: StarImage) -> tuple[list[tuple[datetime, float, float, float | None, str]], FloatArray]:
     """Return the rows of an image's stars, and their directions (n, 3)."""
     matches, stars, sky, predicted = image.matches, image.stars, image.sky, image.predicted
     if image.time is None or matches is None or stars is None or sky is None or predicted is None:
@@ -231,7 +231,7 @@ def detect_stars_in_file(
     except InputError as error:
         unreadable = Finding("file_unreadable", {"error": str(error)})
         return StarImage(file=name_text(path), reason=joined([unreadable]), findings=(unreadable,))
-    if (elsewhere := _other_site(path, site)) is not None:
+    if (elsewhere := _find_other_site(path, site)) is not None:
         reason = elsewhere.text
         return StarImage(file=name_text(path), reason=reason, findings=(elsewhere,), time=time)
     return detect_star_image(image, time, site, replace(options, bayer=bayer), name=name_text(path), size=size)
@@ -246,22 +246,22 @@ def detect_star_image(
     """
     found = (image.shape[1], image.shape[0])
     _require_size(name, found, size)
-    stars = _detected(image, options)
+    stars = _detect_reduced(image, options)
     sky = night_sky(time.timestamp(), site, faintest=FAINTEST_V)
     return StarImage(file=name, reason="", findings=(), time=time, sky=sky, stars=stars, size=found)
 
 
-def _reduced(image: Image, by: int) -> Image:
+def _reduce_image(image: Image, by: int) -> Image:
     height, width = (side // by for side in image.shape[:2])
     mean = cv2.resize(image[: by * height, : by * width], (width, height), interpolation=cv2.INTER_AREA)
     return mean.astype(np.uint8) if image.dtype == np.uint8 else mean.astype(np.uint16)
 
 
-def _detected(image: Image, options: StarOptions) -> Stars:
+def _detect_reduced(image: Image, options: StarOptions) -> Stars:
     """Return the stars of an image in its own pixels, detected in it at the size that the options state."""
     by, gain = options.reduced_by, options.gain_e_per_count
     stars = detect_stars(
-        image if by == 1 else _reduced(image, by),
+        image if by == 1 else _reduce_image(image, by),
         full_scale=options.full_scale or estimated_full_scale(image),
         bayer=options.bayer if by == 1 else None,  # means of whole tiles of a mosaic are grey
         gain_e_per_count=None if gain is None else by**2 * gain,  # a mean of as many counts
@@ -274,7 +274,7 @@ _FARTHEST_DEG = 2.0
 """Between the header's site and the stated one: headers round, and some write degrees and minutes as a decimal."""
 
 
-def _other_site(path: Path, site: Site) -> Finding | None:
+def _find_other_site(path: Path, site: Site) -> Finding | None:
     """Return the site of a FITS header that differs; longitudes that are positive to the west are known."""
     if find_kind(path.name) != "fits":
         return None
@@ -308,12 +308,12 @@ def read_timed(path: Path, options: StarOptions) -> tuple[datetime, Image, Bayer
 
 def read_time(path: Path, options: StarOptions) -> datetime:
     """Return the middle of an image's exposure as `read_timed` does, without its pixels."""
-    frame = _stated_frame(path, Folder(name_text(path.parent)), options.rules)
+    frame = _read_stated_frame(path, Folder(name_text(path.parent)), options.rules)
     is_middle = frame.exposure_us is not None and frame.family in HEADER_FAMILIES.values()
     return frame.time if is_middle else frame.time + timedelta(seconds=options.to_middle_s)
 
 
-def _stated_frame(path: Path, source: Folder, rules: TimeRules) -> TimedFrame:
+def _read_stated_frame(path: Path, source: Folder, rules: TimeRules) -> TimedFrame:
     beside = Path(name_sidecar(str(path)))
     names = [name_text(beside.name)] if is_regular(beside) else []
     try:
@@ -333,7 +333,7 @@ def _require_size(name: str, found: tuple[int, int], size: tuple[int, int] | Non
         )
 
 
-def _view(image: StarImage, camera: Camera) -> StarView | None:
+def _make_view(image: StarImage, camera: Camera) -> StarView | None:
     """Return the stars of an image; None where it could not be read."""
     if image.time is None or image.sky is None or image.stars is None or image.predicted is None:
         return None
@@ -415,17 +415,17 @@ def find_stars_blind(
     ------
     InputError : the images are not of one size.
     """
-    found = blind_result(_read(paths, site, options), site, options, known=known)
+    found = blind_result(_read_images(paths, site, options), site, options, known=known)
     size = next((one.size for one in found.images if one.size is not None), (0, 0))
     if found.start.accepted or min(size) < _LEAST_REDUCED or any(one.stars is None for one in found.images):
         return found
     # wide stars among sharp noise: of a large picture at half its size stars stand out
     half = replace(options, reduced_by=2)
-    reduced = blind_result(_read(paths, site, half), site, half, known=known)
+    reduced = blind_result(_read_images(paths, site, half), site, half, known=known)
     return reduced if reduced.accepted else found
 
 
-def _read(paths: Sequence[Path], site: Site, options: StarOptions) -> list[StarImage]:
+def _read_images(paths: Sequence[Path], site: Site, options: StarOptions) -> list[StarImage]:
     seen, size = list[StarImage](), None
     for path in paths:
         seen.append(detect_stars_in_file(path, site, options, size=size))
@@ -441,7 +441,7 @@ def blind_result(
     if size is None:
         few = Finding("blind_few_images", {"n": 0, "turn_deg": 0.0, "limit": 10.0})
         return BlindResult(start=BlindStart(accepted=False, findings=(few,)), images=seen)
-    night = _one_night(seen)
+    night = _select_one_night(seen)
     images = [
         NightDetections(unix_s=one.time.timestamp(), stars=one.stars, sky=one.sky)
         for one in night
@@ -450,7 +450,7 @@ def blind_result(
     start = blind_start(images, site, image_size=size, options=known)
     if not start.accepted or start.camera is None:
         return BlindResult(start=start, images=seen)
-    points = _points(start, images, size)
+    points = _make_sightings(start, images, size)
     choice = CalibrationOptions(
         mirrored="yes" if start.camera.mirrored else "no",
         level_within_deg=None if known is None else known.level_within_deg,
@@ -460,10 +460,12 @@ def blind_result(
         return BlindResult(start=start, images=seen, calibration=fitted)
     named = named_stars(seen, fitted, within_px=options.within_px)
     stated = add_star_clock_error(fitted, options.clock_error_s, limit_deg=choice.max_sky_deg)
-    return BlindResult(start=start, images=[_dated(one, images[0].unix_s) for one in named], calibration=stated)
+    return BlindResult(
+        start=start, images=[_add_date_finding(one, images[0].unix_s) for one in named], calibration=stated
+    )
 
 
-def _dated(image: StarImage, unix_s: float) -> StarImage:
+def _add_date_finding(image: StarImage, unix_s: float) -> StarImage:
     """Return an image that was taken half a year or more from the night that gave the camera with that said."""
     if image.time is None or abs(image.time.timestamp() - unix_s) < _HALF_A_YEAR_S:
         return image
@@ -472,7 +474,7 @@ def _dated(image: StarImage, unix_s: float) -> StarImage:
     return replace(image, findings=findings, reason=joined(findings))
 
 
-def _one_night(seen: Sequence[StarImage]) -> list[StarImage]:
+def _select_one_night(seen: Sequence[StarImage]) -> list[StarImage]:
     """Return images of the night that has most of them, evenly over it."""
     timed = sorted(
         (one for one in seen if one.time is not None and one.stars is not None), key=lambda one: str(one.time)
@@ -483,7 +485,7 @@ def _one_night(seen: Sequence[StarImage]) -> list[StarImage]:
     return [timed[row] for row in rows[evenly_spread(rows.size, most=_MOST_IMAGES)].tolist()]
 
 
-def _points(start: BlindStart, images: Sequence[NightDetections], size: tuple[int, int]) -> Sightings:
+def _make_sightings(start: BlindStart, images: Sequence[NightDetections], size: tuple[int, int]) -> Sightings:
     """Return the stars that the start names as sightings: unclipped, the surest of each part of the image."""
     times, pixels, sigma, directions = [np.zeros(0)], [np.zeros((0, 2))], [np.zeros(0)], [np.zeros((0, 3))]
     for image, predicted, stars, matches in zip(images, start.predicted, start.stars, start.matches, strict=True):

@@ -60,7 +60,7 @@ def fit_as_stated(
     name : of the sightings, for errors.
     start : a camera of any format that is read. A projection that is not stated comes from it, or is chosen by the
         sightings.
-    pose_only : whether its lens is kept, see `_posed`.
+    pose_only : whether its lens is kept, see `_estimate_pose`.
     within : tolerances that make it a prior.
     lens : the camera's type of lens, in place of a start.
     keep_provisional : see `provisional`.
@@ -78,14 +78,14 @@ def fit_as_stated(
     _require_suns(points, options)
     dense = dense_record(points, site=site, image_size=image_size, options=options, circle=circle)
     given = points if dense is None else dense.normal
-    known = None if start is None else _accepted_here(start.known, site)
+    known = None if start is None else _require_accepted_at(start.known, site)
     if start is not None and known is not None:
         require_level(known.pose.theta_zz_deg, options.level_within_deg, field="--level-within", name=start.name)
     if lens is not None:
         require_lens(lens, image_size=image_size, options=options)
         solved, given = calibrate_with_lens(given, lens=lens, site=site, options=options, circle=circle)
     elif start is not None and pose_only:
-        solved = _posed(given, start, image_size=image_size, site=site, options=options)
+        solved = _estimate_pose(given, start, image_size=image_size, site=site, options=options)
     elif start is not None and within is not None:
         prior = start_camera(start, image_size, options, posed=within.pose_deg is not None)
         solved = calibrate_with_prior(given, prior=prior, tolerances=within, site=site, options=options)
@@ -103,7 +103,7 @@ def fit_as_stated(
             tilt_known=known is not None,
         )
     if start is not None or lens is not None:
-        solved = _explained(solved, given, options=options, circle=circle)
+        solved = _add_handedness_finding(solved, given, options=options, circle=circle)
     if keep_provisional:
         solved = provisional(solved, limit_deg=options.max_sky_deg)
     if dense is None:
@@ -117,7 +117,7 @@ _SAME_SITE_DEG = 0.1
 """Difference of latitude or longitude up to which a camera was accepted at the same site."""
 
 
-def _accepted_here(known: Calibration | None, site: Site) -> Calibration | None:
+def _require_accepted_at(known: Calibration | None, site: Site) -> Calibration | None:
     """Return a calibration that was accepted at a site; None where it was accepted at another one, or not at all."""
     if known is None:
         return None
@@ -125,7 +125,7 @@ def _accepted_here(known: Calibration | None, site: Site) -> Calibration | None:
     return known if known.verdict.accepted and max(off_deg) < _SAME_SITE_DEG else None
 
 
-def _explained(
+def _add_handedness_finding(
     solved: Calibration, points: Sightings, *, options: CalibrationOptions, circle: ImageCircle | None
 ) -> Calibration:
     """Return a calibration by a known lens; its verdict says where the sightings alone fit the other handedness."""
@@ -146,7 +146,7 @@ _LENS_WITHIN_PX, _LARGEST_LENS_PX = 1.0, 10.0
 """1-sigma of the image near the horizon by a lens of which a file states no uncertainty; no lens is kept by more."""
 
 
-def _posed(
+def _estimate_pose(
     points: Sightings, start: StatedStart, *, image_size: tuple[int, int], site: Site, options: CalibrationOptions
 ) -> Calibration:
     """Return the lens of a file in the pose that sightings ask for.

@@ -24,21 +24,21 @@ def calibration_text(document: dict[str, Any]) -> str:
     One that is not accepted shows no number of its camera, which would be read as an answer.
     """
     metrics, verdict = document["metrics"], document["verdict"]
-    lens, sky = _camera_rows(document) if summarize_verdict(document) in {"accepted", "provisional"} else ([], [])
+    lens, sky = _make_camera_rows(document) if summarize_verdict(document) in {"accepted", "provisional"} else ([], [])
     rows: list[list[str]] = [
         *lens,
         ["sightings used", f"{document['evidence']['n_used']} of {metrics['n'] + document['evidence']['n_rejected']}"],
-        ["RMSE", _rmse(metrics)],
+        ["RMSE", _format_rmse(metrics)],
         *sky,
         ["verdict", summarize_verdict(document)],
         *(["", reason] for reason in verdict["reasons"]),
-        *(["remedy", remedy] for remedy in _remedies(verdict)),
+        *(["remedy", remedy] for remedy in _list_remedies(verdict)),
     ]
     width = max(len(name) for name, _ in rows) + 2
     return "\n".join(f"{name:{width}}{value}" for name, value in rows)
 
 
-def _camera_rows(document: dict[str, Any]) -> tuple[list[list[str]], list[list[str]]]:
+def _make_camera_rows(document: dict[str, Any]) -> tuple[list[list[str]], list[list[str]]]:
     """Return the rows of lens and pose, and those of their uncertainty."""
     model, sky = document["model"], document["uncertainty"]
     lens = [
@@ -52,7 +52,7 @@ def _camera_rows(document: dict[str, Any]) -> tuple[list[list[str]], list[list[s
     return lens, [["1-sigma over the sky", extent], ["residual field", field_text(sky["field"])]]
 
 
-def _remedies(verdict: dict[str, Any]) -> list[str]:
+def _list_remedies(verdict: dict[str, Any]) -> list[str]:
     """Return the remedies of a calibration that is not accepted, each once."""
     found = [] if verdict["accepted"] else [finding.remedy for finding in parse_findings(verdict)]
     return [one for one in dict.fromkeys(found) if one != "none"]
@@ -66,7 +66,7 @@ def field_text(field: dict[str, Any]) -> str:
     return f"1-sigma {field['amplitude_px']:.3f} px over {field['length_px']:.0f} px, {part}"
 
 
-def _rmse(metrics: dict[str, Any]) -> str:
+def _format_rmse(metrics: dict[str, Any]) -> str:
     """Return the RMSE in words; a calibration refused before a fit has no value."""
     if metrics["rmse_px"] is None or metrics["rmse_deg"] is None:
         return "no fit"

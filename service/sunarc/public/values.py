@@ -177,9 +177,9 @@ class Sightings:
             body=np.array(np.broadcast_to(bodies.ravel(), size)),
             **stated,
         )
-        self._set(points, "sightings", RowPlaces("sightings, row", np.arange(size)))
+        self._set_fields(points, "sightings", RowPlaces("sightings, row", np.arange(size)))
 
-    def _set(self, points: Points, name: str, wheres: RowPlaces) -> None:
+    def _set_fields(self, points: Points, name: str, wheres: RowPlaces) -> None:
         for key, value in (("points", points), ("name", name), ("wheres", wheres)):
             object.__setattr__(self, key, value)
 
@@ -187,7 +187,7 @@ class Sightings:
     def from_points(cls, points: Points, name: str, wheres: RowPlaces) -> Sightings:
         """Return sightings that the library has; internal."""
         made = cls.__new__(cls)
-        made._set(points, name, wheres)  # noqa: SLF001 - its own
+        made._set_fields(points, name, wheres)  # noqa: SLF001 - its own
         return made
 
     @classmethod
@@ -215,7 +215,7 @@ class Sightings:
     def __repr__(self) -> str:
         if not len(self):
             return "<sunarc.Sightings: none>"
-        first, last = (str(np.datetime64(round(t), "s")).replace("T", " ") for t in _ends(self.points.unix_s))
+        first, last = (str(np.datetime64(round(t), "s")).replace("T", " ") for t in _first_and_last(self.points.unix_s))
         return f"<sunarc.Sightings: {len(self)} of {first} to {last} UTC>"
 
     @property
@@ -234,7 +234,7 @@ class Sightings:
         return self.points.pixels[:, 1]
 
 
-def _ends(unix_s: FloatArray) -> tuple[float, float]:
+def _first_and_last(unix_s: FloatArray) -> tuple[float, float]:
     return float(np.min(unix_s)), float(np.max(unix_s))
 
 

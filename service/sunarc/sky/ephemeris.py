@@ -50,7 +50,7 @@ def geocentric(unix_s: FloatArray, delta_t_s: float) -> Geocentric:
     nodes = np.unique(np.add.outer(slots, np.arange(-1.0, 3.0)))
     if unix_s.size < _WORTH_WHILE * nodes.size:
         return by_series(unix_s, delta_t_s)
-    table = _slow_columns(nodes * _STEP_S, delta_t_s)
+    table = _compute_slow_columns(nodes * _STEP_S, delta_t_s)
     first, place = np.searchsorted(nodes, slot - 1.0), unix_s / _STEP_S - slot
     # Lagrange's weights of the values at -1, 0, 1, 2 for places between 0 and 1
     before, after, beyond = place + 1.0, place - 1.0, place - 2.0
@@ -65,18 +65,18 @@ def geocentric(unix_s: FloatArray, delta_t_s: float) -> Geocentric:
         columns += weight * table[:, first + k]
     x, y, z, distance, nutation = columns
     return Geocentric(
-        sidereal=(_mean_sidereal(unix_s) + nutation) % 360.0,
+        sidereal=(_mean_sidereal_time_deg(unix_s) + nutation) % 360.0,
         right_ascension=np.degrees(np.arctan2(y, x)) % 360.0,
         declination=np.degrees(np.arctan2(z, np.hypot(x, y))),
         distance=distance,
     )
 
 
-def _slow_columns(unix_s: FloatArray, delta_t_s: float) -> FloatArray:
+def _compute_slow_columns(unix_s: FloatArray, delta_t_s: float) -> FloatArray:
     """Return (5, n): unit vector to the sun, its distance, and the nutation in right ascension, degrees."""
     at = by_series(unix_s, delta_t_s)
     alpha, delta = np.radians(at.right_ascension), np.radians(at.declination)
-    nutation = (at.sidereal - _mean_sidereal(unix_s) + 180.0) % 360.0 - 180.0
+    nutation = (at.sidereal - _mean_sidereal_time_deg(unix_s) + 180.0) % 360.0 - 180.0
     across = np.cos(delta)
     return np.stack([across * np.cos(alpha), across * np.sin(alpha), np.sin(delta), at.distance, nutation])
 
@@ -86,24 +86,24 @@ def by_series(unix_s: FloatArray, delta_t_s: float) -> Geocentric:
     day = unix_s / DAY_S + _JULIAN_DAY_1970
     century = (day + delta_t_s / DAY_S - 2_451_545.0) / 36_525.0
     millennium = century / 10.0
-    distance = _powers(_DISTANCE, millennium)
-    longitude_nutation, obliquity_nutation = _nutation(century)
-    obliquity = np.radians(_polynomial(_OBLIQUITY_ARCSEC, millennium / 10.0) / 3600.0 + obliquity_nutation)
+    distance = _evaluate_series(_DISTANCE, millennium)
+    longitude_nutation, obliquity_nutation = _compute_nutation(century)
+    obliquity = np.radians(_evaluate_polynomial(_OBLIQUITY_ARCSEC, millennium / 10.0) / 3600.0 + obliquity_nutation)
     aberration = -20.4898 / (3600.0 * distance)
-    heliocentric = np.degrees(_powers(_LONGITUDE, millennium)) % 360.0
+    heliocentric = np.degrees(_evaluate_series(_LONGITUDE, millennium)) % 360.0
     longitude = np.radians((heliocentric + 180.0) % 360.0 + longitude_nutation + aberration)
-    latitude = np.radians(-np.degrees(_powers(_LATITUDE, millennium)))
+    latitude = np.radians(-np.degrees(_evaluate_series(_LATITUDE, millennium)))
     across = np.sin(longitude) * np.cos(obliquity) - np.tan(latitude) * np.sin(obliquity)
     up = np.sin(latitude) * np.cos(obliquity) + np.cos(latitude) * np.sin(obliquity) * np.sin(longitude)
     return Geocentric(
-        sidereal=_mean_sidereal(unix_s) + longitude_nutation * np.cos(obliquity),
+        sidereal=_mean_sidereal_time_deg(unix_s) + longitude_nutation * np.cos(obliquity),
         right_ascension=np.degrees(np.arctan2(across, np.cos(longitude))) % 360.0,
         declination=np.degrees(np.arcsin(up)),
         distance=distance,
     )
 
 
-def _mean_sidereal(unix_s: FloatArray) -> FloatArray:
+def _mean_sidereal_time_deg(unix_s: FloatArray) -> FloatArray:
     """Return the mean sidereal time at Greenwich in degrees (equation 28)."""
     day = unix_s / DAY_S + _JULIAN_DAY_1970
     century = (day - 2_451_545.0) / 36_525.0
@@ -111,23 +111,23 @@ def _mean_sidereal(unix_s: FloatArray) -> FloatArray:
     return np.asarray((turned + 0.000387933 * century**2 - century**3 / 38_710_000.0) % 360.0)
 
 
-def _powers(series: tuple[FloatArray, ...], millennium: FloatArray) -> FloatArray:
+def _evaluate_series(series: tuple[FloatArray, ...], millennium: FloatArray) -> FloatArray:
     """Return Σ_k x^k Σ_i A cos(B + C x), x in millennia (equations 9 to 11); radians or astronomical units."""
     sums = []
     for terms in series:
         amplitude, phase, rate = terms.T[:, :, None]
         sums.append(np.sum(amplitude * np.cos(phase + rate * millennium), axis=0))
-    return _polynomial(sums, millennium) / 1e8
+    return _evaluate_polynomial(sums, millennium) / 1e8
 
 
-def _polynomial(coefficients: Sequence[FloatArray | float], x: FloatArray) -> FloatArray:
+def _evaluate_polynomial(coefficients: Sequence[FloatArray | float], x: FloatArray) -> FloatArray:
     total = np.zeros_like(x)
     for k, coefficient in enumerate(coefficients):
         total = total + coefficient * x**k
     return total
 
 
-def _nutation(century: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _compute_nutation(century: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the nutation in longitude and in obliquity in degrees, of centuries of terrestrial time since 2000."""
     constant, rate, square, cube = _ARGUMENTS.T[:, :, None]
     arguments = constant + rate * century + square * century**2 + century**3 / cube
@@ -157,17 +157,17 @@ def terrestrial_minus_universal_s(unix_s: FloatArray) -> float:
     return -20.0 + 32.0 * u**2 - 0.5628 * max(2150.0 - y, 0.0)
 
 
-def _terms(text: str, columns: int = 3) -> FloatArray:
+def _parse_terms(text: str, columns: int = 3) -> FloatArray:
     return np.array(text.split(), dtype=np.float64).reshape(-1, columns)
 
 
-def _series(*texts: str) -> tuple[FloatArray, ...]:
-    return tuple(_terms(text) for text in texts)
+def _parse_series(*texts: str) -> tuple[FloatArray, ...]:
+    return tuple(_parse_terms(text) for text in texts)
 
 
 # The tables A4.2 and A4.3 of the reference: of each power of time A, B, C in turn; of the nutation the multiples of the
 # five arguments, then a, b (sines, longitude) and c, d (cosines, obliquity).
-_LONGITUDE = _series(
+_LONGITUDE = _parse_series(
     """
     175347046 0 0   3341656 4.6692568 6283.07585   34894 4.6261 12566.1517   3497 2.7441 5753.3849
     3418 2.8289 3.5231   3136 3.6277 77713.7715   2676 4.4181 7860.4194   2343 6.1352 3930.2097
@@ -206,7 +206,7 @@ _LONGITUDE = _series(
     1 3.14 0
     """,
 )
-_LATITUDE = _series(
+_LATITUDE = _parse_series(
     """
     280 3.199 84334.662   102 5.422 5507.553   80 3.88 5223.69   44 3.7 2352.87   32 4 1577.34
     """,
@@ -214,7 +214,7 @@ _LATITUDE = _series(
     9 3.9 5507.55   6 1.73 5223.69
     """,
 )
-_DISTANCE = _series(
+_DISTANCE = _parse_series(
     """
     100013989 0 0   1670700 3.0984635 6283.07585   13956 3.05525 12566.1517   3084 5.1985 77713.7715
     1628 1.1739 5753.3849   1576 2.8469 7860.4194   925 5.453 11506.77   542 4.564 3930.21   472 3.661 5884.927
@@ -239,7 +239,7 @@ _DISTANCE = _series(
     4 2.56 6283.08
     """,
 )
-_NUTATION = _terms(
+_NUTATION = _parse_terms(
     """
     0 0 0 0 1 -171996 -174.2 92025 8.9   -2 0 0 2 2 -13187 -1.6 5736 -3.1   0 0 0 2 2 -2274 -0.2 977 -0.5
     0 0 0 0 2 2062 0.2 -895 0.5   0 1 0 0 0 1426 -3.4 54 -0.1   0 0 1 0 0 712 0.1 -7 0

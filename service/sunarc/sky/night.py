@@ -130,8 +130,8 @@ def star_directions(stars: StarTable, unix_s: float, site: Site) -> FloatArray:
     With proper motion, precession, nutation, aberration and refraction, without parallax
     (0.75 arcseconds at most). Below the horizon the refraction fades to 0, as the sun's.
     """
-    ephem = _ephem()
-    observer = _observer(unix_s, site)
+    ephem = _import_ephem()
+    observer = _make_observer(unix_s, site)
     years = 2000.0 + (unix_s - _J2000_UNIX_S) / DAY_S / 365.25 - _EPOCH_YEAR
     moved = stars.motion * years
     right = stars.right_ascension + moved[:, 0] / np.cos(stars.declination)
@@ -142,15 +142,15 @@ def star_directions(stars: StarTable, unix_s: float, site: Site) -> FloatArray:
         body._ra, body._dec = ra, dec  # noqa: SLF001 - likewise
         body.compute(observer)
         angles[row] = body.alt, body.az
-    return _apparent(angles[:, 0], angles[:, 1], site)
+    return _refract_angles(angles[:, 0], angles[:, 1], site)
 
 
 def body_position(name: SolarSystemBody, unix_s: float, site: Site) -> BodyPosition:
     """Return where the moon or a planet is at one moment, seen from the site (not from the Earth's centre)."""
-    ephem = _ephem()
+    ephem = _import_ephem()
     body = getattr(ephem, name.capitalize())()
-    body.compute(_observer(unix_s, site))
-    direction = _apparent(np.array([float(body.alt)]), np.array([float(body.az)]), site)[0]
+    body.compute(_make_observer(unix_s, site))
+    direction = _refract_angles(np.array([float(body.alt)]), np.array([float(body.az)]), site)[0]
     east, north, up = direction.tolist()
     return BodyPosition(
         direction=(east, north, up),
@@ -171,9 +171,9 @@ class TruePosition(NamedTuple):
 
 def true_position(name: Literal["moon", "sun"], unix_s: float, site: Site) -> TruePosition:
     """Return where the moon or the sun is without refraction, seen from the site; the distance is the Earth's."""
-    ephem = _ephem()
+    ephem = _import_ephem()
     body = getattr(ephem, name.capitalize())()
-    body.compute(_observer(unix_s, site))
+    body.compute(_make_observer(unix_s, site))
     direction = direction_from_angles(
         zenith_deg=90.0 - math.degrees(float(body.alt)), azimuth_deg=math.degrees(float(body.az))
     )
@@ -189,7 +189,7 @@ def night_sky(unix_s: float, site: Site, *, faintest: float) -> NightSky:
     site : the place and its air.
     faintest : V of the faintest; the table ends at `FAINTEST_V`.
     """
-    stars = picked(_stars(), _stars().magnitude <= faintest)
+    stars = picked(_cached_star_table(), _cached_star_table().magnitude <= faintest)
     planets = {name: body_position(name, unix_s, site) for name in SOLAR_SYSTEM_BODIES if name != "moon"}
     names = np.array([f"{STAR}{hip}" for hip in stars.hip] + list(planets))
     places = [place.direction for place in planets.values()]
@@ -223,38 +223,38 @@ def body_directions(
     temperature, pressure : (n,) of the air, °C and Pa, as measured; the site's where None or NaN.
     """
     directions = np.full((unix_s.size, 3), np.nan)
-    row_by_name = {f"{STAR}{hip}": row for row, hip in enumerate(_stars().hip.tolist())}
+    row_by_name = {f"{STAR}{hip}": row for row, hip in enumerate(_cached_star_table().hip.tolist())}
     star = np.array([row_by_name.get(name, -1) for name in names.tolist()], dtype=np.int64)
     bodies = [(np.asarray(names == name), name) for name in SOLAR_SYSTEM_BODIES]
     # all of one moment at once: many stars are of one image
     for moment in np.unique(unix_s[(star >= 0) | np.isin(names, SOLAR_SYSTEM_BODIES)]).tolist():
         now = unix_s == moment
-        air = site.replace_air(temperature=_measured(temperature, now), pressure=_measured(pressure, now))
+        air = site.replace_air(temperature=_first_measured(temperature, now), pressure=_first_measured(pressure, now))
         if np.any(stars := now & (star >= 0)):
-            directions[stars] = star_directions(picked(_stars(), star[stars]), moment, air)
+            directions[stars] = star_directions(picked(_cached_star_table(), star[stars]), moment, air)
         for named, name in bodies:
             if np.any(here := now & named):
                 directions[here] = body_position(name, moment, air).direction
     return directions
 
 
-def _measured(column: FloatArray | None, now: BoolArray) -> float | None:
+def _first_measured(column: FloatArray | None, now: BoolArray) -> float | None:
     """Return the first number of some rows; None where it is not measured."""
     value = math.nan if column is None else float(column[np.flatnonzero(now)[0]])
     return value if math.isfinite(value) else None
 
 
 @cache
-def _stars() -> StarTable:
+def _cached_star_table() -> StarTable:
     return star_table()
 
 
-def _ephem() -> Any:  # noqa: ANN401 - a module
+def _import_ephem() -> Any:  # noqa: ANN401 - a module
     return import_module("ephem")  # loaded when it is used
 
 
-def _observer(unix_s: float, site: Site) -> Any:  # noqa: ANN401 - ephem is not typed
-    ephem = _ephem()
+def _make_observer(unix_s: float, site: Site) -> Any:  # noqa: ANN401 - ephem is not typed
+    ephem = _import_ephem()
     date = (unix_s - _UNIX_S_OF_EPHEM) / DAY_S
     # ephem's terrestrial time is an old forecast, 5 s ahead in 2026 and 37 s in 2050, in which the moon moves by 20
     # arcseconds: the moment is shifted by as much, and the place turned back, so that the sidereal time stays
@@ -268,7 +268,7 @@ def _observer(unix_s: float, site: Site) -> Any:  # noqa: ANN401 - ephem is not 
     return observer
 
 
-def _apparent(elevation: FloatArray, azimuth: FloatArray, site: Site) -> FloatArray:
+def _refract_angles(elevation: FloatArray, azimuth: FloatArray, site: Site) -> FloatArray:
     """Return apparent directions (n, 3) of true elevations and azimuths, radians."""
     raised = apparent_elevation(np.degrees(elevation), site)
     return direction_from_angles(zenith_deg=90.0 - raised, azimuth_deg=np.degrees(azimuth))
@@ -312,16 +312,16 @@ def moon_disc(unix_s: float, site: Site) -> MoonDisc:
     along = to_sun - (to_sun @ moon.direction) * moon.direction
     along /= max(float(np.linalg.norm(along)), 1e-12)
     tangents = np.stack([along, np.cross(moon.direction, along)])
-    limbs = [_apparent_directions(moon.direction + side * moon.radius * tangents, site) for side in (1.0, -1.0)]
+    limbs = [_refract_directions(moon.direction + side * moon.radius * tangents, site) for side in (1.0, -1.0)]
     return MoonDisc(
-        direction=_apparent_directions(moon.direction[None], site)[0],
+        direction=_refract_directions(moon.direction[None], site)[0],
         edges=np.asarray(0.5 * (limbs[0] - limbs[1]).T),
         cos_phase=float(np.clip(-to_sun @ moon.direction, -1.0, 1.0)),
         magnitude=moon.magnitude,
     )
 
 
-def _apparent_directions(directions: FloatArray, site: Site) -> FloatArray:
+def _refract_directions(directions: FloatArray, site: Site) -> FloatArray:
     """Return the apparent directions (n, 3) of true ones."""
     zenith, azimuth = angles_from_direction(directions / np.linalg.norm(directions, axis=-1, keepdims=True))
     return direction_from_angles(zenith_deg=90.0 - apparent_elevation(90.0 - zenith, site), azimuth_deg=azimuth)

@@ -134,9 +134,9 @@ def parse_angle(text: str, *, question: str, axis: Literal["NS", "EW"]) -> float
         raise FindingError(question, Finding("angle_of_other_axis", {"given": text}))
     if letter and match["sign"]:
         raise FindingError(question, Finding("angle_signed_twice", {"given": text}))
-    degrees, minutes, seconds = (_decimal(match[part]) for part in ("degrees", "minutes", "seconds"))
+    degrees, minutes, seconds = (_parse_decimal(match[part]) for part in ("degrees", "minutes", "seconds"))
     whole = [part for part in ("degrees", "minutes") if match["minutes" if part == "degrees" else "seconds"]]
-    if max(minutes, seconds) >= 60.0 or any(_decimal(match[part]) % 1.0 for part in whole):
+    if max(minutes, seconds) >= 60.0 or any(_parse_decimal(match[part]) % 1.0 for part in whole):
         raise FindingError(question, Finding("angle_unreadable", {"given": text}))
     angle = degrees + minutes / 60.0 + seconds / 3600.0
     most = 90 if axis == "NS" else 180
@@ -146,5 +146,5 @@ def parse_angle(text: str, *, question: str, axis: Literal["NS", "EW"]) -> float
     return round(-angle if negative else angle, 7) + 0.0
 
 
-def _decimal(digits: str | None) -> float:
+def _parse_decimal(digits: str | None) -> float:
     return float((digits or "0").replace(",", "."))

@@ -34,7 +34,7 @@ class Turns(NamedTuple):
     angles: FloatArray
 
 
-def _counts(
+def _count_on_cells(
     rays: FloatArray, near: BoolArray, half: float, turns: Turns, *, shape: float, largest: float
 ) -> FloatArray:
     """Return (k,): the share of the mapped rays in the image that fall on marked cells; 0 where few are in it."""
@@ -56,7 +56,7 @@ def _counts(
     return found
 
 
-def _marked(onto: FloatArray, half: float, reach: float, n: int) -> tuple[BoolArray, float]:
+def _mark_cells(onto: FloatArray, half: float, reach: float, n: int) -> tuple[BoolArray, float]:
     """Return (n, n) cells over -half to half, whether a detection is near, and the share of those in the disc."""
     centre = (np.arange(n) + 0.5) * 2.0 * half / n - half
     near = np.zeros((n, n), dtype=bool)
@@ -88,8 +88,8 @@ def count_on_detections(
     largest : angle off the axis to which rays count, radians.
     """
     half = float(np.quantile(np.max(np.abs(onto), axis=-1), 0.98)) + 2.0 * reach
-    near, chance = _marked(onto, half, reach, _CELLS)
-    counts = _counts(rays, near, half, turns, shape=shape, largest=largest)
+    near, chance = _mark_cells(onto, half, reach, _CELLS)
+    counts = _count_on_cells(rays, near, half, turns, shape=shape, largest=largest)
     return np.asarray((counts - chance) / max(1.0 - chance, 0.1))
 
 
@@ -235,10 +235,12 @@ def _find_turnings(pairs: Sequence[Pair], field: SearchRange, *, mirrored: bool)
         for one in pairs
     ]
     centre = np.array([field.width - 1.0 - field.centre[0] if mirrored else field.centre[0], field.centre[1]])
-    poles = _poles(field, step=min(0.5 * _REACH / math.sin(0.5 * min(one.turn for one in pairs)), math.radians(5.0)))
+    poles = _make_poles(
+        field, step=min(0.5 * _REACH / math.sin(0.5 * min(one.turn for one in pairs)), math.radians(5.0))
+    )
     radius = field.radius_px
     grid = [(focal, shape) for shape in _SHAPES_TRIED for focal in focal_lengths(radius, shape, step=_FOCAL_STEP)]
-    share = np.stack([_shares(flipped, centre, focal, shape, poles) for focal, shape in grid])
+    share = np.stack([_measure_shares(flipped, centre, focal, shape, poles) for focal, shape in grid])
     kept: list[tuple[FloatArray, float, float]] = []
     for place in np.argsort(-share, axis=None, kind="stable")[:400].tolist():
         row, column = divmod(place, poles.shape[0])
@@ -248,13 +250,13 @@ def _find_turnings(pairs: Sequence[Pair], field: SearchRange, *, mirrored: bool)
         if len(kept) == _KEPT:
             break
     image = (mirrored, field.width)
-    found = [_refined(flipped, centre, pole, (focal, shape), image) for pole, focal, shape in kept]
+    found = [_refine_turning(flipped, centre, pole, (focal, shape), image) for pole, focal, shape in kept]
     best = max(found, key=lambda one: one.share)
     if best.share > _LIKELY and best.shape > _CONFORMAL:
         # these turn alike with many focal lengths, each with a centre and a pole of its own: the stars decide
         for ratio in _OTHER_FOCAL:
             rough = (ratio * best.focal_px, best.shape)
-            found.append(_refined(flipped, best.centre, best.pole, rough, image, focal_within=_FOCAL_FIXED))
+            found.append(_refine_turning(flipped, best.centre, best.pole, rough, image, focal_within=_FOCAL_FIXED))
     return found
 
 
@@ -271,7 +273,7 @@ def focal_lengths(radius_px: tuple[float, float], shape: float, *, step: float) 
     return values
 
 
-def _poles(field: SearchRange, *, step: float) -> FloatArray:
+def _make_poles(field: SearchRange, *, step: float) -> FloatArray:
     """Return directions (k, 3) in the camera's frame on rings about the axis, a step apart."""
     least, greatest = max(field.polar_rad[0], 0.0), min(field.polar_rad[1], math.pi)
     rings = []
@@ -283,18 +285,20 @@ def _poles(field: SearchRange, *, step: float) -> FloatArray:
     return np.concatenate(rings)
 
 
-def _shares(pairs: Sequence[Pair], centre: FloatArray, focal: float, shape: float, poles: FloatArray) -> FloatArray:
+def _measure_shares(
+    pairs: Sequence[Pair], centre: FloatArray, focal: float, shape: float, poles: FloatArray
+) -> FloatArray:
     """Return (k,): the share of mapped detections on others less that of chance, the mean of the pairs."""
     total = np.zeros(poles.shape[0])
     for one in pairs:
-        rays = _rays(one.first[:_MAPPED], centre, focal, shape)
+        rays = _back_project(one.first[:_MAPPED], centre, focal, shape)
         onto = (one.second[:_MAPPED_ONTO] - centre) / focal
         angles = np.full(poles.shape[0], -one.turn)
         total += count_on_detections(rays, onto, Turns(poles, angles), shape=shape, reach=_REACH, largest=MAX_ANGLE)
     return total / len(pairs)
 
 
-def _rays(pixels: FloatArray, centre: FloatArray, focal: float, shape: float) -> FloatArray:
+def _back_project(pixels: FloatArray, centre: FloatArray, focal: float, shape: float) -> FloatArray:
     """Return unit vectors (n, 3) in the camera's frame."""
     away = (pixels - centre) / focal
     radius = np.hypot(*away.T)
@@ -303,13 +307,13 @@ def _rays(pixels: FloatArray, centre: FloatArray, focal: float, shape: float) ->
     return np.stack([away[:, 0] * scale, away[:, 1] * scale, np.cos(angle)], axis=-1)
 
 
-def _pixels(rays: FloatArray, centre: FloatArray, focal: float, shape: float) -> FloatArray:
+def _project_rays(rays: FloatArray, centre: FloatArray, focal: float, shape: float) -> FloatArray:
     across = np.hypot(rays[:, 0], rays[:, 1])
     radius = angle_to_radius(np.arctan2(across, rays[:, 2]), shape)
     return np.asarray(centre + focal * rays[:, :2] * (radius / np.maximum(across, 1e-12))[:, None])
 
 
-def _refined(
+def _refine_turning(
     pairs: Sequence[Pair],
     centre: FloatArray,
     pole: FloatArray,
@@ -327,7 +331,7 @@ def _refined(
     unknowns, reach = start, 1.5 * _REACH * rough[0]
     trees = [cKDTree(one.second) for one in some]
     for _ in range(_ROUNDS):
-        found = _nearest(trees, _mapped(some, pole, unknowns))
+        found = _find_nearest(trees, _map_detections(some, pole, unknowns))
         near = [apart < reach for apart, _ in found]
         if sum(int(mask.sum()) for mask in near) < _FEWEST:
             break
@@ -335,7 +339,7 @@ def _refined(
         part = [Pair(one.first[mask], aim, one.turn) for one, mask, aim in zip(some, near, goal, strict=True)]
 
         def residual(at: FloatArray, part: list[Pair] = part) -> FloatArray:
-            apart = [there - one.second for one, there in zip(part, _mapped(part, pole, at), strict=True)]
+            apart = [there - one.second for one, there in zip(part, _map_detections(part, pole, at), strict=True)]
             return np.asarray(np.r_[np.concatenate(apart).ravel(), _PRIOR_PX * (at - start) / spread])
 
         unknowns = least_squares(
@@ -347,34 +351,34 @@ def _refined(
             max_nfev=_EVALUATIONS,
         ).x
         reach = max(0.5 * reach, _CLOSE_PX)
-    lens, now = _lens(unknowns), _pole_at(pole, unknowns)
+    lens, now = _split_lens(unknowns), _move_pole(pole, unknowns)
     close = np.concatenate(
-        [tree.query(there)[0] for tree, there in zip(trees, _mapped(some, pole, unknowns), strict=True)]
+        [tree.query(there)[0] for tree, there in zip(trees, _map_detections(some, pole, unknowns), strict=True)]
     )
     # within the search's reach, and as near as the right lens brings stars
-    share = 0.5 * float(_shares(pairs, *lens, now[None])[0]) + 0.5 * float(np.mean(close < _CLOSE_PX))
+    share = 0.5 * float(_measure_shares(pairs, *lens, now[None])[0]) + 0.5 * float(np.mean(close < _CLOSE_PX))
     return Turning(
         mirrored=image[0], focal_px=lens[1], shape=lens[2], centre=lens[0], pole=now, width=image[1], share=share
     )
 
 
-def _nearest(trees: Sequence[cKDTree], there: Sequence[FloatArray]) -> list[tuple[FloatArray, IntArray]]:
+def _find_nearest(trees: Sequence[cKDTree], there: Sequence[FloatArray]) -> list[tuple[FloatArray, IntArray]]:
     """Return distances (px) to the nearest detections, and their rows, of places in each second image."""
     found = [tree.query(places) for tree, places in zip(trees, there, strict=True)]
     return [(np.asarray(apart), np.asarray(row, dtype=np.int64)) for apart, row in found]
 
 
-def _mapped(pairs: Sequence[Pair], pole: FloatArray, unknowns: FloatArray) -> list[FloatArray]:
+def _map_detections(pairs: Sequence[Pair], pole: FloatArray, unknowns: FloatArray) -> list[FloatArray]:
     """Return where the detections of the first images are in the second, (n, 2) px each."""
-    lens, now = _lens(unknowns), _pole_at(pole, unknowns)
-    return [_pixels(turned(_rays(one.first, *lens), now, -one.turn), *lens) for one in pairs]
+    lens, now = _split_lens(unknowns), _move_pole(pole, unknowns)
+    return [_project_rays(turned(_back_project(one.first, *lens), now, -one.turn), *lens) for one in pairs]
 
 
-def _lens(unknowns: FloatArray) -> tuple[FloatArray, float, float]:
+def _split_lens(unknowns: FloatArray) -> tuple[FloatArray, float, float]:
     """Return centre, focal length and shape."""
     return unknowns[1:3], math.exp(unknowns[0]), float(unknowns[5])
 
 
-def _pole_at(pole: FloatArray, unknowns: FloatArray) -> FloatArray:
+def _move_pole(pole: FloatArray, unknowns: FloatArray) -> FloatArray:
     moved = pole + tangent_basis(pole) @ unknowns[3:5]
     return np.asarray(moved / np.linalg.norm(moved))

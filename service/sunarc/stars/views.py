@@ -140,14 +140,14 @@ def matching_flip(views: Sequence[StarView], image_size: tuple[int, int]) -> tup
 def _match_view(view: StarView, every: Sequence[StarView]) -> MatchedView:
     # text beside the image circle does not look at the sky
     stars = view.stars.select(unproject(view.camera, view.stars.pixels)[:, 2] > 0.0)
-    other = _furthest(view, every)
+    other = _find_furthest_view(view, every)
     if other is not None:
         moved = sky_motion(stars, view.predicted, other.predicted)
         stars = stars.select(~standing_still(stars, other.stars, moved_px=moved))
     matches = match_stars(stars, view.predicted)
     if not matches.accepted and pattern_log10_chance(view.camera, view.sky, stars) <= MOST_LOG10_CHANCE:
         # aurora, lamps and hot pixels: that the rest is stars is proven by its pattern
-        near = stars.select(_near_a_star(stars, view.predicted))
+        near = stars.select(_is_near_star(stars, view.predicted))
         tried = (match_stars(near, view.predicted, limits=LIMITS[first:]) for first in range(len(LIMITS)))
         again = next((one for one in tried if one.accepted), None)
         stars, matches = (stars, matches) if again is None else (near, again)
@@ -177,14 +177,14 @@ def from_all_parts(stars: Stars, image_size: tuple[int, int]) -> Stars:
     return stars.select(np.argsort(rank, kind="stable"))
 
 
-def _near_a_star(stars: Stars, predicted: PredictedStars) -> BoolArray:
+def _is_near_star(stars: Stars, predicted: PredictedStars) -> BoolArray:
     if not len(stars) or not len(predicted):
         return np.zeros(len(stars), dtype=np.bool_)
     apart, row = cKDTree(predicted.pixels).query(stars.pixels)
     return np.asarray(np.asarray(apart) < _STAR_WITHIN * predicted.sigma_px[np.asarray(row)])
 
 
-def _furthest(view: StarView, every: Sequence[StarView]) -> StarView | None:
+def _find_furthest_view(view: StarView, every: Sequence[StarView]) -> StarView | None:
     """Return the image of the same night that is furthest in time; None without another."""
     apart = [(abs(view.unix_s - one.unix_s), index) for index, one in enumerate(every)]
     same_night = [pair for pair in apart if 0.0 < pair[0] < _LONGEST_NIGHT_S]

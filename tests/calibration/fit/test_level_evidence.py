@@ -7,7 +7,7 @@ import pytest
 from tests.fixtures.calibration import SGP, spread_directions
 
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.fit.level_evidence import _near
+from sunarc.calibration.fit.level_evidence import _places_around
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.quality.fit_checks import TILT
@@ -39,5 +39,5 @@ def test_stars_alone_say_nothing_of_the_air_above_another_place() -> None:
 @pytest.mark.parametrize("latitude", [87.99999999376726, -88.00000001711145, 86.0, 0.0])
 def test_the_places_around_one_whose_ring_meets_a_pole_are_as_far_from_it_as_elsewhere(latitude: float) -> None:
     level = Place(latitude, 10.0)  # of the first two the sine of the ring's latitude exceeds 1 by rounding
-    off = [distance_deg(level, place) for place in _near(level)]
+    off = [distance_deg(level, place) for place in _places_around(level)]
     assert off == pytest.approx([0.0, *[2.0] * 8, *[4.0] * 8], abs=1e-5)

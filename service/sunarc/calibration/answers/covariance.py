@@ -46,9 +46,9 @@ def project_with_covariance(calibration: Calibration, directions: ArrayLike) -> 
     """
     direction = np.asarray(directions, dtype=np.float64)
     flat, shape = direction.reshape(-1, 3), direction.shape[:-1]
-    pixels, covariance, by_direction = _predicted(calibration, flat)
+    pixels, covariance, by_direction = _predict_with_covariance(calibration, flat)
     if calibration.sigma_limit_deg is not None:
-        unsure = ~(_per_axis_deg(covariance, by_direction, flat) <= calibration.sigma_limit_deg)
+        unsure = ~(_sigma_per_axis_deg(covariance, by_direction, flat) <= calibration.sigma_limit_deg)
         pixels[unsure], covariance[unsure] = np.nan, np.nan
     return pixels.reshape(*shape, 2), covariance.reshape(*shape, 2, 2)
 
@@ -77,17 +77,19 @@ def sun_with_covariance(
     return pixels, covariance + shift[..., :, None] * shift[..., None, :]
 
 
-def _predicted(calibration: Calibration, directions: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _predict_with_covariance(
+    calibration: Calibration, directions: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return pixels (n, 2), their covariance (n, 2, 2), and derivatives by the direction (n, 2, 3)."""
     pixels, covariance = np.empty((directions.shape[0], 2)), np.empty((directions.shape[0], 2, 2))
     by_direction = np.empty((directions.shape[0], 2, 3))
     for begin in range(0, directions.shape[0], _CHUNK):
         part = slice(begin, begin + _CHUNK)
-        pixels[part], covariance[part], by_direction[part] = _chunk(calibration, directions[part])
+        pixels[part], covariance[part], by_direction[part] = _predict_chunk(calibration, directions[part])
     return pixels, covariance, by_direction
 
 
-def _chunk(calibration: Calibration, directions: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _predict_chunk(calibration: Calibration, directions: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     pixels, by_parameters = project_with_rows_fast(calibration.camera, directions)
     indices = [PARAMETER_NAMES.index(name) for name in calibration.parameter_names]
     rows = np.ascontiguousarray(by_parameters[..., indices])
@@ -141,13 +143,13 @@ def sigma_deg(calibration: Calibration, directions: FloatArray) -> FloatArray:
 
 def uncertainties(calibration: Calibration, directions: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return covariances (n, 2, 2) in px² and 1-sigma per axis on the sphere (n,) in degrees of directions (n, 3)."""
-    _, covariance, by_direction = _predicted(calibration, directions)
-    return covariance, _per_axis_deg(covariance, by_direction, directions)
+    _, covariance, by_direction = _predict_with_covariance(calibration, directions)
+    return covariance, _sigma_per_axis_deg(covariance, by_direction, directions)
 
 
-def _per_axis_deg(covariance: FloatArray, by_direction: FloatArray, directions: FloatArray) -> FloatArray:
+def _sigma_per_axis_deg(covariance: FloatArray, by_direction: FloatArray, directions: FloatArray) -> FloatArray:
     """Return (n,) degrees: 1-sigma per axis of directions (n, 3), whose pixels have covariances (n, 2, 2) px²."""
-    on_sky = _on_sky(covariance, by_direction @ tangent_basis(directions))
+    on_sky = _map_to_tangent_plane(covariance, by_direction @ tangent_basis(directions))
     with np.errstate(invalid="ignore"):
         half_trace = np.maximum(0.5 * np.trace(on_sky, axis1=-2, axis2=-1), 0.0)
     return np.asarray(np.degrees(np.sqrt(half_trace)))
@@ -158,10 +160,10 @@ def direction_covariance(camera: Camera, directions: FloatArray, covariance: Flo
     _, by_parameters = project_with_rows_fast(camera, directions)
     basis = tangent_basis(directions)
     stretch = by_direction(camera, by_parameters) @ basis
-    return np.asarray(basis @ _on_sky(covariance, stretch) @ np.swapaxes(basis, -1, -2))
+    return np.asarray(basis @ _map_to_tangent_plane(covariance, stretch) @ np.swapaxes(basis, -1, -2))
 
 
-def _on_sky(covariance: FloatArray, stretch: FloatArray) -> FloatArray:
+def _map_to_tangent_plane(covariance: FloatArray, stretch: FloatArray) -> FloatArray:
     """Return (n, 2, 2) rad² on the tangent plane, from px² and px per radian; NaN where the lens hardly stretches."""
     (a, b), (c, d) = np.moveaxis(stretch, 0, -1)
     determinant = a * d - b * c

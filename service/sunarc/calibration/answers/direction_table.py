@@ -72,36 +72,36 @@ class Lookup:
 
         NaN where no direction lands on the pixel.
         """
-        return _in_chunks(pixels, self._back_project)
+        return _answer_in_chunks(pixels, self._back_project_chunk)
 
     def project(self, directions: Rows) -> Rows:
         """Return where unit vectors (n, 3) land: (n, 7), the columns `PROJECTED`; NaN beyond the camera's field."""
-        return _in_chunks(directions, self._project)
+        return _answer_in_chunks(directions, self._project_chunk)
 
     def direction_covariance(self, directions: FloatArray) -> FloatArray:
         """Return (n, 3, 3): covariances of unit vectors (n, 3), east-north-up; NaN beyond the camera's field."""
-        projected = self._project(directions)
+        projected = self._project_chunk(directions)
         covariance = projected[:, [3, 4, 4, 5]].reshape(-1, 2, 2)
         return direction_covariance(self.camera, directions, covariance)
 
-    def _back_project(self, pixels: FloatArray) -> FloatArray:
-        found = self._looked_at(pixels, self.table.directions(pixels))
-        return found if self.sigma_limit_deg is None else _bounded(found, found, self.sigma_limit_deg)
+    def _back_project_chunk(self, pixels: FloatArray) -> FloatArray:
+        found = self._add_uncertainty(pixels, self.table.directions(pixels))
+        return found if self.sigma_limit_deg is None else _mask_beyond_limit(found, found, self.sigma_limit_deg)
 
-    def _looked_at(self, pixels: FloatArray, directions: FloatArray) -> FloatArray:
+    def _add_uncertainty(self, pixels: FloatArray, directions: FloatArray) -> FloatArray:
         sheets, camera = (self.log_sigma, self.slope, self.rings_per_radian), self.camera
         return _kernels.back_projected(self.table.rotation, *sheets, camera.width, camera.height, pixels, directions)
 
-    def _project(self, directions: FloatArray) -> FloatArray:
+    def _project_chunk(self, directions: FloatArray) -> FloatArray:
         pixels, camera, sheets = project_fast(self.camera, directions), self.camera, self.log_factor
         size = (camera.width, camera.height)
         found = _kernels.projected(self.table.rotation, sheets, self.rings_per_radian, *size, pixels, directions)
         if self.sigma_limit_deg is None:
             return found
-        return _bounded(found, self._looked_at(pixels, directions), self.sigma_limit_deg)
+        return _mask_beyond_limit(found, self._add_uncertainty(pixels, directions), self.sigma_limit_deg)
 
 
-def _bounded(rows: FloatArray, back_projected: FloatArray, limit_deg: float) -> FloatArray:
+def _mask_beyond_limit(rows: FloatArray, back_projected: FloatArray, limit_deg: float) -> FloatArray:
     """Return rows (n, 7), the last column of which is `inside`, without those whose 1-sigma is beyond a limit."""
     unsure = ~(back_projected[:, BACK_PROJECTED.index("sigma_deg")] <= limit_deg)
     rows[unsure] = np.r_[np.full(rows.shape[1] - 1, np.nan), 0.0]
@@ -114,7 +114,7 @@ def lookup(calibration: Calibration) -> Lookup:
     table = inverse_table(camera)
     angle = np.linspace(0.0, rising_limit(camera, up_to=largest_angle(camera)) - _EDGE, RINGS)
     azimuth = np.linspace(0.0, 2.0 * math.pi, SPOKES, endpoint=False)
-    covariance, sigma = uncertainties(calibration, _about_axis(table.rotation, angle, azimuth))
+    covariance, sigma = uncertainties(calibration, _directions_about_axis(table.rotation, angle, azimuth))
     # the Cholesky factor is smooth where the covariance is, and any spline of it is positive definite
     xx = np.sqrt(np.maximum(covariance[:, 0, 0], 1e-12))
     yx = covariance[:, 1, 0] / xx
@@ -134,7 +134,7 @@ def lookup(calibration: Calibration) -> Lookup:
     )
 
 
-def _about_axis(rotation: FloatArray, angle: FloatArray, azimuth: FloatArray) -> FloatArray:
+def _directions_about_axis(rotation: FloatArray, angle: FloatArray, azimuth: FloatArray) -> FloatArray:
     """Return unit vectors (rings · spokes, 3) at these angles off the optical axis, and azimuths about it."""
     ray = np.empty((len(angle), len(azimuth), 3))
     ray[..., 0] = np.outer(np.sin(angle), np.cos(azimuth))
@@ -166,7 +166,7 @@ def polar_spline(sheet: FloatArray) -> FloatArray:
     return np.concatenate([inner_part[:, -1:], inner_part, inner_part[:, :2]], axis=1)
 
 
-def _in_chunks(rows: Rows, answer: Callable[[FloatArray], FloatArray]) -> Rows:
+def _answer_in_chunks(rows: Rows, answer: Callable[[FloatArray], FloatArray]) -> Rows:
     """Return the answers to rows, a chunk at a time, in the precision of the rows."""
     if rows.shape[0] <= _CHUNK and rows.dtype == np.float64:
         return answer(np.ascontiguousarray(rows, dtype=np.float64))

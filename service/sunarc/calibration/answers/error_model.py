@@ -96,7 +96,7 @@ def build_error_model(calibration: Calibration) -> CameraErrorModel:
     to_rotation[np.ix_(rotation, rotation)] = right_jacobian(-np.array(calibration.camera.rotation_cam_enu))
     stated = calibration.field
     length = max(stated.length_px, _SHORTEST_LENGTH_PX)
-    basis = stated.basis.completed(length_px=length) if stated.amplitude_px > 0.0 else _none(stated.basis)
+    basis = stated.basis.completed(length_px=length) if stated.amplitude_px > 0.0 else _make_empty_basis(stated.basis)
     return CameraErrorModel(
         selected=np.array([PARAMETER_NAMES.index(name) for name in names]),
         rotation=rotation,
@@ -113,7 +113,7 @@ def build_error_model(calibration: Calibration) -> CameraErrorModel:
     )
 
 
-def _none(basis: WaveBasis) -> WaveBasis:
+def _make_empty_basis(basis: WaveBasis) -> WaveBasis:
     return replace(basis, orders=np.zeros((0, 2), dtype=np.int64))
 
 
@@ -139,7 +139,7 @@ def joint_covariance(error_model: CameraErrorModel, prediction: Predicted) -> Fl
             -0.5 * np.sum(separation**2, axis=-1) / error_model.field.length_px**2
         )
         reduction = error_model.field.reduction(prediction.basis_values)
-        coupled = _coupled(error_model, prediction)
+        coupled = _coupled_field_rows(error_model, prediction)
         result += np.kron(smooth - reduction @ reduction.T, np.eye(2)) + coupled @ coupled.T
     return np.asarray(result)
 
@@ -167,10 +167,10 @@ def coefficient_covariance(error_model: CameraErrorModel, prediction: Predicted,
     result = prediction.rows.reshape(-1, prediction.rows.shape[-1]) @ error_model.field.cross[axis]
     values = prediction.basis_values
     result[axis::2] += values * error_model.variances - (values @ error_model.field.known.T) @ error_model.field.known
-    return np.asarray(result + _coupled(error_model, prediction) @ error_model.field.coupling[axis])
+    return np.asarray(result + _coupled_field_rows(error_model, prediction) @ error_model.field.coupling[axis])
 
 
-def _coupled(error_model: CameraErrorModel, prediction: Predicted) -> FloatArray:
+def _coupled_field_rows(error_model: CameraErrorModel, prediction: Predicted) -> FloatArray:
     """Return (2n, q): the part of the field that the parameters' errors leave open, where the sun was seen."""
     both = np.stack([prediction.basis_values @ error_model.field.coupling[axis].T for axis in (0, 1)], axis=1)
     return both.reshape(2 * both.shape[0], both.shape[2])
@@ -282,13 +282,13 @@ def draw_ensemble(calibration: Calibration, *, draws: int, seed: int, calibratio
     radius = np.linspace(0.0, table.constants.limit, _RINGS)
     azimuth = np.linspace(0.0, 2.0 * math.pi, _SPOKES, endpoint=False)
     errors = build_error_model(calibration)
-    at = predicted(errors, calibration.camera, _polar_directions(table, radius, azimuth))
+    at = predicted(errors, calibration.camera, _directions_on_polar_grid(table, radius, azimuth))
     sheets = np.empty((draws, _RINGS + 2, _SPOKES + 3, 2))
     # more draws begin with the same ones
     size = errors.mean.size + 2 * errors.variances.size + 1
-    normal = _generator(calibration_id, seed).standard_normal((draws, size))
+    normal = _make_generator(calibration_id, seed).standard_normal((draws, size))
     parameters, coefficients = draw_errors(errors, normal[:, :-1])
-    scales = _drawn_scales(calibration, np.nan_to_num(at.pixels), _generator(calibration_id, seed, 1), draws)
+    scales = _draw_scales(calibration, np.nan_to_num(at.pixels), _make_generator(calibration_id, seed, 1), draws)
     for k in range(draws):
         moved = scales[k, :, None] * (at.rows @ parameters[k] + at.basis_values @ coefficients[k].T)
         moved = np.nan_to_num(moved).reshape(_RINGS, _SPOKES, 2)
@@ -296,7 +296,7 @@ def draw_ensemble(calibration: Calibration, *, draws: int, seed: int, calibratio
     return Ensemble(table=table, sheets_px=sheets, rings_per_radius=float(1.0 / radius[1]), common=normal[:, -1].copy())
 
 
-def _polar_directions(table: InverseTable, radius: FloatArray, azimuth: FloatArray) -> FloatArray:
+def _directions_on_polar_grid(table: InverseTable, radius: FloatArray, azimuth: FloatArray) -> FloatArray:
     """Return unit vectors (rings · spokes, 3) that the lens without its decentering brings to these places."""
     position = np.minimum(radius * table.constants.per_radius, len(table.pieces) - 1e-9)
     piece = position.astype(np.int64)
@@ -311,7 +311,7 @@ def _polar_directions(table: InverseTable, radius: FloatArray, azimuth: FloatArr
     return np.asarray(ray.reshape(-1, 3) @ table.rotation)
 
 
-def _drawn_scales(
+def _draw_scales(
     calibration: Calibration, pixels: FloatArray, generator: np.random.Generator, draws: int
 ) -> FloatArray:
     """Return (draws, n): the 1-sigma of errors at pixels (n, 2) in stated ones, of a class for each draw."""
@@ -321,7 +321,7 @@ def _drawn_scales(
     return calibration.mixture.at(pixels).T[np.searchsorted(upto, generator.uniform(size=draws))]
 
 
-def _generator(calibration_id: str, *numbers: int) -> np.random.Generator:
+def _make_generator(calibration_id: str, *numbers: int) -> np.random.Generator:
     of_id = int.from_bytes(hashlib.sha256(calibration_id.encode()).digest()[:8], "big")
     return np.random.Generator(np.random.PCG64([of_id, *numbers]))
 

@@ -52,7 +52,7 @@ _POSE_PRECISION = 1e-2
 all the same, and with less precision rounding takes the digits of all else."""
 
 
-class _Without(NamedTuple):
+class _PartLeftOut(NamedTuple):
     """The fit without a part of the sightings: one linear step from the fit of all, with its scales and weights.
 
     out (n,), bins (b,): masks of what it is without. step (d,), covariance (d, d): of the unknowns and of what of the
@@ -66,7 +66,7 @@ class _Without(NamedTuple):
     rows: FloatArray
 
 
-def without_parts(fit: FitState, usable: Sightings) -> list[_Without]:
+def without_parts(fit: FitState, usable: Sightings) -> list[_PartLeftOut]:
     """Return the fits without each part of the sightings; a pose that no other part has cannot be predicted.
 
     Parts are thirds of a day, or of several days whole ones, in five groups at most.
@@ -100,7 +100,7 @@ def without_parts(fit: FitState, usable: Sightings) -> list[_Without]:
             own, pull = (sum(column) for column in zip(*of_parts[:number], *of_parts[number + 1 :], strict=True))
             covariance = inverses(own + np.diag(precision))
             step = covariance @ (pull - precision * at)
-            found.append(_Without(out, bins, step, covariance, rows[bins]))
+            found.append(_PartLeftOut(out, bins, step, covariance, rows[bins]))
     return found
 
 
@@ -111,7 +111,7 @@ class HeldOut(NamedTuple):
     expected_px: float
 
 
-def held_out(fit: FitState, usable: Sightings, parts: Sequence[_Without]) -> HeldOut | None:
+def held_out(fit: FitState, usable: Sightings, parts: Sequence[_PartLeftOut]) -> HeldOut | None:
     """Return the cross-validation over whole days, see `without_parts`; None with fewer than two that say something."""
     if np.unique(usable.day).size < 2:
         return None
@@ -160,7 +160,7 @@ class Doubts(NamedTuple):
     turn_deg: float
 
 
-class _Part(NamedTuple):
+class _PartPrediction(NamedTuple):
     """Prediction of a part: see `Doubts`.
 
     errors : (k,) independent ones, by what is stated; open: (k,) whether the other parts leave much of a number open.
@@ -180,7 +180,7 @@ class _Part(NamedTuple):
         return self.rmse_px > self.stated_px or (self.turned > _TURNED and self.turn_deg > _SWAYS_DEG)
 
 
-def doubts(fit: FitState, usable: Sightings, without: Sequence[_Without]) -> Doubts:
+def doubts(fit: FitState, usable: Sightings, without: Sequence[_PartLeftOut]) -> Doubts:
     """Return how well fits without a part of the sightings predict it, see `without_parts`.
 
     All that a part shows of lens, pose and field are few numbers; where the stated errors hold, their errors are
@@ -188,23 +188,25 @@ def doubts(fit: FitState, usable: Sightings, without: Sequence[_Without]) -> Dou
     """
     # the sun's track is judged: whether stars agree with it is a question of its own (`night_check`)
     judged = (usable.kind == Kind.SUN) & (fit.noise.weight > 0.0)
-    met = (_met(one, fit, usable, judged) for one in without if np.any(one.out & judged))
+    met = (_predict_part(one, fit, usable, judged) for one in without if np.any(one.out & judged))
     parts = [part for part in met if part.errors.size]
     if not parts:
         return Doubts(0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0)
     beyond = [part for part in parts if part.contradicts]
     worst = max(beyond or parts, key=lambda part: float(np.max(np.abs(part.errors))))
     turned = max(beyond or parts, key=lambda part: part.turned)
-    widening = _larger_where_open(parts)
+    widening = _error_ratio_where_undetermined(parts)
     within = [part for part in parts if not part.contradicts]
-    if _excess(within) > _CONTRADICTED:
+    if _largest_error_ratio(within) > _CONTRADICTED:
         square = np.concatenate([part.errors for part in within]) ** 2
         of_turn = max(part.turned for part in within) / _TURN_95
         widening = max(widening, math.sqrt(max(float(np.max(square)) / _RADIUS_95**2, float(np.mean(square)), of_turn)))
-    return Doubts(worst.n, worst.rmse_px, worst.stated_px, _excess(beyond), widening, turned.turned, turned.turn_deg)
+    return Doubts(
+        worst.n, worst.rmse_px, worst.stated_px, _largest_error_ratio(beyond), widening, turned.turned, turned.turn_deg
+    )
 
 
-def _excess(parts: Sequence[_Part]) -> float:
+def _largest_error_ratio(parts: Sequence[_PartPrediction]) -> float:
     """Return the ratio of errors to those of chance, of all parts, the largest one and a turn; 0 without a part."""
     if not parts:
         return 0.0
@@ -214,7 +216,7 @@ def _excess(parts: Sequence[_Part]) -> float:
     return math.sqrt(max(float(np.max(square)) / _FURTHEST**2, together, turned / _TURNED))
 
 
-def _larger_where_open(parts: Sequence[_Part]) -> float:
+def _error_ratio_where_undetermined(parts: Sequence[_PartPrediction]) -> float:
     """Return by how much errors are larger than stated where the other parts leave much open, 1 or more."""
     square, opened = np.concatenate([part.errors for part in parts]) ** 2, np.concatenate([part.open for part in parts])
     larger = (float(np.sum(square[opened])) + _AS_STATED) / (np.count_nonzero(opened) + _AS_STATED)
@@ -244,7 +246,7 @@ def chi_square_limit(n: int, chance: float) -> float:
     return low + high
 
 
-def _met(without: _Without, fit: FitState, usable: Sightings, judged: BoolArray) -> _Part:
+def _predict_part(without: _PartLeftOut, fit: FitState, usable: Sightings, judged: BoolArray) -> _PartPrediction:
     """Return how a fit predicts the judged (n,) sightings of the part that it is without."""
     sun = np.bincount(fit.member[judged], minlength=without.bins.size)[without.bins] > 0
     rows, information = without.rows[sun], fit.system.observed.information[without.bins][sun]
@@ -262,8 +264,8 @@ def _met(without: _Without, fit: FitState, usable: Sightings, judged: BoolArray)
     joint = factor.T @ without.covariance @ factor + np.eye(said.size)
     stated, axes = np.linalg.eigh(joint)
     poses = np.unique(usable.epoch[without.out & judged]).tolist()
-    turned, turn_deg = max(_turn(factor, joint, said, fit, pose) for pose in poses)
-    return _Part(
+    turned, turn_deg = max(_measure_turn(factor, joint, said, fit, pose) for pose in poses)
+    return _PartPrediction(
         n=int(np.count_nonzero(without.out & judged)),
         rmse_px=math.sqrt(float(np.sum(off**2)) / len(off)),
         stated_px=math.sqrt(float(np.mean(variance + 2.0 / information))),
@@ -274,7 +276,9 @@ def _met(without: _Without, fit: FitState, usable: Sightings, judged: BoolArray)
     )
 
 
-def _turn(factor: FloatArray, joint: FloatArray, said: FloatArray, fit: FitState, pose: int) -> tuple[float, float]:
+def _measure_turn(
+    factor: FloatArray, joint: FloatArray, said: FloatArray, fit: FitState, pose: int
+) -> tuple[float, float]:
     """Return the certainty of a turn of a pose by errors (k,) of covariance (k, k), and the turn in degrees."""
     columns = factor[fit.problem.pose_slice(pose)]
     weighed = np.linalg.solve(joint, np.column_stack([columns.T, said]))
@@ -313,8 +317,8 @@ def contradiction(fit: FitState, usable: Sightings) -> Finding | None:
         ("pose_difference", float(np.linalg.norm(turn)), _PRIOR_SIGMAS),
         ("star_offset", float(np.linalg.norm(offset)), _PRIOR_SIGMAS),
         ("rejected", float(np.mean(fit.noise.weight[night] == 0.0)), _MOST_REJECTED),
-        ("sun_scatter", *_sun_scatter(fit, alone, usable, of_day)),
-        ("sky", _change_over_the_sky(fit, alone), _SKY_SIGMAS),
+        ("sun_scatter", *_compare_sun_scatter(fit, alone, usable, of_day)),
+        ("sky", _difference_over_sky(fit, alone), _SKY_SIGMAS),
     )
     for cause, value, limit in measured:
         if not value <= limit:
@@ -348,13 +352,13 @@ def day_contradicts_night(found: Finding, day: Calibration, night: Calibration, 
         return None
     off = np.linalg.norm(suns.pixels - project(night.camera, suns.directions), axis=-1) / suns.sigma_px
     scatter = robust_sigma(off, floor=0.0) if np.all(np.isfinite(off)) else math.inf
-    of_day, of_night = _apart(day, night), _apart(night, day)
+    of_day, of_night = _distance_in_sigmas(day, night), _distance_in_sigmas(night, day)
     if not (scatter <= _AS_STATED_SUNS and of_day <= _SKY_SIGMAS < of_night):
         return None
     return Finding("day_contradicts_night", {"n": len(suns), "night_sigmas": of_day, "day_sigmas": of_night})
 
 
-def _apart(one: Calibration, other: Calibration) -> float:
+def _distance_in_sigmas(one: Calibration, other: Calibration) -> float:
     """Return the distance of another camera from a calibration over the sky, in units of the stated error."""
     sky = seen_sky(one.camera)
     pixels, covariance = project_with_covariance(one, sky)
@@ -364,7 +368,9 @@ def _apart(one: Calibration, other: Calibration) -> float:
     return math.sqrt(float(np.sum(square[both])) / max(float(np.sum(variance[both])), 1e-12))
 
 
-def _sun_scatter(fit: FitState, alone: MarginalFit, usable: Sightings, of_day: BoolArray) -> tuple[float, float]:
+def _compare_sun_scatter(
+    fit: FitState, alone: MarginalFit, usable: Sightings, of_day: BoolArray
+) -> tuple[float, float]:
     """Return the scatter of the track about the fit of both over that about the day's own, and the largest by chance.
 
     Each is over its degrees of freedom: few suns are followed by a fit of their own alone. The fit of both is one of
@@ -395,7 +401,7 @@ def _sun_scatter(fit: FitState, alone: MarginalFit, usable: Sightings, of_day: B
     return value, max(_SUN_SCATTER, math.sqrt(by_chance))
 
 
-def _change_over_the_sky(fit: FitState, alone: MarginalFit) -> float:
+def _difference_over_sky(fit: FitState, alone: MarginalFit) -> float:
     """Return the distance of the two fits over the sky, in units of the day's stated error."""
     _, pixels, rows = shown_sky(fit.problem, fit.unknowns)
     change = rows @ (alone.unknowns - fit.system.at)

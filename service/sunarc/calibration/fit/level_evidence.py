@@ -40,16 +40,16 @@ def tilt_log_odds(fit: FitState, camera: Camera, site: Site) -> float | None:
     site : the one that was stated.
     """
     question = tilt_question(camera, site)
-    if question is None or not np.any(_on_sun_path(fit)):
+    if question is None or not np.any(_is_on_sun_path(fit)):
         return None
     level = level_place(camera, site)
-    places = [Place(float(question.data["latitude"]), float(question.data["longitude"])), *_near(level)]
+    places = [Place(float(question.data["latitude"]), float(question.data["longitude"])), *_places_around(level)]
     here = _log_evidence(fit, fit.observed.directions)
-    elsewhere = max(_log_evidence(fit, _directions(fit, site, place)) for place in places)
+    elsewhere = max(_log_evidence(fit, _directions_at_place(fit, site, place)) for place in places)
     return min(here - elsewhere, _LARGEST)
 
 
-def _near(level: Place) -> list[Place]:
+def _places_around(level: Place) -> list[Place]:
     """Return a place and those around it."""
     latitude, longitude = math.radians(level.latitude), math.radians(level.longitude)
     up = np.array(
@@ -64,12 +64,12 @@ def _near(level: Place) -> list[Place]:
     return found
 
 
-def _directions(fit: FitState, site: Site, place: Place) -> FloatArray | None:
+def _directions_at_place(fit: FitState, site: Site, place: Place) -> FloatArray | None:
     """Return (n, 3): apparent directions at a place in the axes of the site; None where the sun was below the horizon.
 
     Sightings of other bodies keep theirs.
     """
-    observed, of_sun = fit.observed, _on_sun_path(fit)
+    observed, of_sun = fit.observed, _is_on_sun_path(fit)
     there = sun_directions(
         observed.unix_s[of_sun],
         replace(site, latitude=place.latitude, longitude=place.longitude),
@@ -79,16 +79,16 @@ def _directions(fit: FitState, site: Site, place: Place) -> FloatArray | None:
     if np.mean(there[:, 2] < _LOWEST_UP) > _MOST_BELOW:
         return None
     directions = np.array(observed.directions)
-    directions[of_sun] = there @ _axes(place) @ _axes(Place(site.latitude, site.longitude)).T
+    directions[of_sun] = there @ _local_axes(place) @ _local_axes(Place(site.latitude, site.longitude)).T
     return directions
 
 
-def _on_sun_path(fit: FitState) -> BoolArray:
+def _is_on_sun_path(fit: FitState) -> BoolArray:
     """Return (n,): whether a sighting's direction is that of the sun's path."""
     return np.asarray((fit.observed.kind == Kind.SUN) & ~fit.observed.alone)
 
 
-def _axes(place: Place) -> FloatArray:
+def _local_axes(place: Place) -> FloatArray:
     """Return (3, 3): east, north and up of a place as rows, in axes that are fixed to the earth."""
     latitude, longitude = math.radians(place.latitude), math.radians(place.longitude)
     about_pole = rotation_matrix((0.0, 0.0, -(longitude + 0.5 * math.pi)))

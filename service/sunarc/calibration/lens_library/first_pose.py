@@ -147,7 +147,7 @@ def first_pose(
     anywhere = false_density(np.full(usable.pixels.shape, np.inf), area_px2=area_px2)
     sightings = replace(assign_noise(usable, points, start), false_density=anywhere)
     # the same sightings for both handednesses, or their evidences could not be compared
-    close = max((_agreeing(one.camera.at_every_angle(), sightings.thinned(MOST)) for one in both), key=np.sum)
+    close = max((_select_agreeing(one.camera.at_every_angle(), sightings.thinned(MOST)) for one in both), key=np.sum)
     if np.sum(close) < FEWEST_SIGHTINGS:
         close = np.ones(close.size, dtype=bool)
     try:
@@ -156,10 +156,10 @@ def first_pose(
         return refused(job, (Finding("no_camera_fits"),))
     fitted = make_outcome(found.fit, start, usable, wander_rad=0.0)
     result = calibration_from_fit(fitted, job)
-    return _judged(state_options(result, lens_prior=lens.as_evidence()), found, other, lens, known)
+    return _judge_pose(state_options(result, lens_prior=lens.as_evidence()), found, other, lens, known)
 
 
-def _agreeing(camera: Camera, thin: Sightings) -> BoolArray:
+def _select_agreeing(camera: Camera, thin: Sightings) -> BoolArray:
     """Return which sightings agree on a rotation of a camera, whichever it is."""
     tolerance = np.sqrt(thin.variance + _LENS_PX**2)
     rotation = ransac_rotation(camera, thin.directions, thin.pixels, tolerance)
@@ -175,8 +175,8 @@ def _most_probable(start: Calibration, sightings: Sightings, close: BoolArray, t
     spread = np.array([tilt_rad, tilt_rad, _CELL_RAD])
     cell = error_model.add_free_rotation(np.zeros(3), sigma_rad=spread)
     bases = [level(camera, azimuth) for azimuth in np.arange(_AZIMUTHS) * (2.0 * math.pi / _AZIMUTHS)]
-    order = np.argsort([-_rough_evidence(cell, base, coarse) for base in bases])
-    tried = sorted((_refined(cell, bases[k], coarse) for k in order[:_REFINED]), key=lambda one: -one[0])
+    order = np.argsort([-_approximate_evidence(cell, base, coarse) for base in bases])
+    tried = sorted((_refine_level_pose(cell, bases[k], coarse) for k in order[:_REFINED]), key=lambda one: -one[0])
     evidence, best = tried[0]
     pose = best.rotation_cam_enu
     rivals = [other for other, one in tried if rotation_between(one.rotation_cam_enu, pose) > _SAME_POSE_RAD]
@@ -188,7 +188,7 @@ def _most_probable(start: Calibration, sightings: Sightings, close: BoolArray, t
     return _FoundPose(fit, base, prior, evidence, evidence - max(rivals, default=-math.inf))
 
 
-def _rough_evidence(cell: CameraErrorModel, base: Camera, coarse: Sightings) -> float:
+def _approximate_evidence(cell: CameraErrorModel, base: Camera, coarse: Sightings) -> float:
     """Return the log evidence of a level camera, by equations that are good to some px."""
     at = predicted(cell, base, coarse.directions)
     about = PixelResiduals(
@@ -200,7 +200,7 @@ def _rough_evidence(cell: CameraErrorModel, base: Camera, coarse: Sightings) -> 
     return fit_inlier_mixture(np.nan_to_num(joint_covariance(cell, at)), about, everyone).log_evidence
 
 
-def _refined(cell: CameraErrorModel, base: Camera, coarse: Sightings) -> tuple[float, Camera]:
+def _refine_level_pose(cell: CameraErrorModel, base: Camera, coarse: Sightings) -> tuple[float, Camera]:
     """Return the log evidence of the poses about a level camera, and the best of them."""
     try:
         after, mixture = settled(cell, base, coarse, np.ones(len(coarse), dtype=bool))
@@ -209,13 +209,13 @@ def _refined(cell: CameraErrorModel, base: Camera, coarse: Sightings) -> tuple[f
     return mixture.log_evidence, moved(base, after, after.mean)
 
 
-def _judged(
+def _judge_pose(
     result: Calibration, found: _FoundPose, other: _FoundPose, lens: LensType, known: FirstPoseOptions
 ) -> Calibration:
     """Return the calibration with a verdict about its pose, and why it is not served."""
     north = {"north_sigma_deg": north_sigma_deg(result), "top_azimuth_deg": top_azimuth_deg(result.camera)}
-    against = _against(found, other, known, north)
-    departure = _departure(found, lens)
+    against = _find_objections(found, other, known, north)
+    departure = _compute_departure_from_prior(found, lens)
     if departure.contradicts and not against:
         return contradicted(result, departure)
     if against:
@@ -224,7 +224,9 @@ def _judged(
     return add_finding(described, lens_finding("lens_prior_used", lens))
 
 
-def _against(found: _FoundPose, other: _FoundPose, known: FirstPoseOptions, north: dict[str, float]) -> list[Finding]:
+def _find_objections(
+    found: _FoundPose, other: _FoundPose, known: FirstPoseOptions, north: dict[str, float]
+) -> list[Finding]:
     """Return the objections to serving a pose."""
     odds = found.log_evidence - other.log_evidence
     if odds < -_DECIDED:
@@ -242,7 +244,7 @@ def _against(found: _FoundPose, other: _FoundPose, known: FirstPoseOptions, nort
     return [Finding("north_not_as_mounted", {**north, **expected})]
 
 
-def _departure(found: _FoundPose, lens: LensType) -> Departure:
+def _compute_departure_from_prior(found: _FoundPose, lens: LensType) -> Departure:
     """Return the departure of lens and tilt from their priors."""
     prior, after = found.prior, found.fit.error_model
     vector = found.fit.camera.to_vector() - found.base.to_vector()

@@ -76,7 +76,7 @@ def estimate_lens_type(units: Sequence[Unit], *, spread: lens_type.UnitSpread | 
     ]
     focal = float(np.mean(first.focal_length_px))
     spreads = estimated_spread(known, stated, focal_px=focal) if len(units) >= ENOUGH_UNITS else stated
-    unit = further_unit(known, spreads.scales(focal), radial_px=_radial_px(units))
+    unit = further_unit(known, spreads.scales(focal), radial_px=_largest_radial_px(units))
     camera = lens_type.type_camera(frame, unit.mean, first, max_angle=min(fit.camera.max_angle for fit in fits))
     fields = [fit.field for fit in fits]
     return lens_type.LensType(
@@ -94,7 +94,7 @@ def require_one_type(units: Sequence[Unit]) -> None:
     """Raise InputError unless calibrations can be of one type of lens, and state its covariance."""
     if not units:
         raise InputError(field="lens prior", problem="no calibration", remedy="name accepted calibrations")
-    _require_alike([(one.camera, _kind(one.calibration.camera)) for one in units])
+    _require_alike([(one.camera, _lens_kind(one.calibration.camera)) for one in units])
     for one in units:
         if any(name not in one.calibration.parameter_names for name in lens_type.LENS_NAMES):
             raise InputError(
@@ -104,7 +104,7 @@ def require_one_type(units: Sequence[Unit]) -> None:
             )
 
 
-def _kind(camera: Camera) -> dict[str, object]:
+def _lens_kind(camera: Camera) -> dict[str, object]:
     handedness = "mirrored" if camera.mirrored else "not mirrored"
     return {"image size": (camera.width, camera.height), "projection": camera.projection, "handedness": handedness}
 
@@ -122,7 +122,7 @@ def _require_alike(kinds: Sequence[tuple[str, Mapping[str, object]]]) -> None:
                 )
 
 
-def _radial_px(units: Sequence[Unit]) -> float:
+def _largest_radial_px(units: Sequence[Unit]) -> float:
     """Return the largest scale of residual radial distortion that was found: where nothing was seen it is the prior."""
     found = [one.calibration.evidence.radial_px for one in units]
     return max([one for one in found if math.isfinite(one)], default=LensTolerances().radial_px)
@@ -258,7 +258,9 @@ def calibrate_jointly(entries: Sequence[Entry], *, spread: lens_type.UnitSpread 
         one = alone[id(entry)]
         if others and one.evidence.n_used:
             lens = estimate_lens_type(others, spread=spread)
-            one = apply_lens_prior(one, lens, points=_stacked(together[entry.camera], entry), options=entry.options)
+            one = apply_lens_prior(
+                one, lens, points=_stack_epochs(together[entry.camera], entry), options=entry.options
+            )
         found.append(one)
     agreeing = {e.camera for e, one in zip(entries, found, strict=True) if one.verdict.accepted}
     kept = [unit for unit in accepted if unit.camera in agreeing]
@@ -294,11 +296,11 @@ def _take_surest_projection(fits: Sequence[Calibration], options: CalibrationOpt
 
 def _calibrate_epoch(entries: Sequence[Entry], latest: Entry, options: CalibrationOptions | None = None) -> Calibration:
     """Return the calibration of one epoch of a camera, by the sightings of all; options are its own unless given."""
-    points = _stacked(entries, latest)
+    points = _stack_epochs(entries, latest)
     return calibrate(points, site=latest.site, image_size=latest.image_size, options=options or latest.options)
 
 
-def _stacked(entries: Sequence[Entry], latest: Entry) -> Sightings:
+def _stack_epochs(entries: Sequence[Entry], latest: Entry) -> Sightings:
     """Return the sightings of all epochs of a camera, one of them numbered last: a fit is of the last one's pose."""
     ordered = [*(entry for entry in entries if entry is not latest), latest]
     parts = [replace(entry.points, epoch=np.full(len(entry.points), k)) for k, entry in enumerate(ordered)]

@@ -55,10 +55,10 @@ def lens_frame(camera: Camera) -> priors.LensPrior:
 def lens_gaussian(calibration: Calibration, frame: priors.LensPrior) -> Gaussian:
     """Return a calibration's lens in a frame."""
     indices = [calibration.parameter_names.index(name) for name in LENS_NAMES]
-    return _in_frame(calibration.camera, calibration.covariance[np.ix_(indices, indices)], frame)
+    return _convert_to_frame(calibration.camera, calibration.covariance[np.ix_(indices, indices)], frame)
 
 
-def _in_frame(camera: Camera, covariance: FloatArray, frame: priors.LensPrior) -> Gaussian:
+def _convert_to_frame(camera: Camera, covariance: FloatArray, frame: priors.LensPrior) -> Gaussian:
     whitened = np.linalg.solve(frame.basis, np.linalg.solve(frame.basis, covariance).T)
     return Gaussian(frame.whitened(camera), 0.5 * (whitened + whitened.T))
 
@@ -179,7 +179,7 @@ class LensType:
 
     def in_frame(self) -> Gaussian:
         """Return a unit that was not measured, in the type's own frame."""
-        return _in_frame(self.camera, self.covariance, self.frame)
+        return _convert_to_frame(self.camera, self.covariance, self.frame)
 
     def as_evidence(self) -> dict[str, Any]:
         """Return the information of a fit about the type that it was given."""

@@ -19,7 +19,7 @@ LEAST_UNKNOWN = 0.02
 """1-sigma of a field, as a share of its amplitude, that always stays unknown: about that of the waves left out."""
 
 
-def _nothing() -> FloatArray:
+def _empty_array() -> FloatArray:
     return np.zeros(0)
 
 
@@ -46,8 +46,8 @@ class Field:
     length_px: float
     basis: WaveBasis
     cross: FloatArray
-    known: FloatArray = field(default_factory=_nothing)
-    coupling: FloatArray = field(default_factory=_nothing)
+    known: FloatArray = field(default_factory=_empty_array)
+    coupling: FloatArray = field(default_factory=_empty_array)
 
     def __post_init__(self) -> None:
         """Give the omitted parts their shape: nothing is known but how field and parameters hang together."""

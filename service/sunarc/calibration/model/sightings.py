@@ -238,7 +238,7 @@ class Sightings:
         body : (n,) names, which state the kinds; None: the sun.
         stated : further columns by their names, each (n, ...) or one value for all.
         """
-        times = _column("unix_s", unix_s, None)
+        times = _read_only_column("unix_s", unix_s, None)
         places = np.array(pixels, dtype=np.float64)
         if places.size == 0:
             places = places.reshape(0, 2)
@@ -246,7 +246,7 @@ class Sightings:
             problem = f"shape {places.shape} beside {times.size} times"
             raise InputError(field="pixels", problem=problem, remedy="give one x, y a time")
         places.flags.writeable = False
-        columns: dict[str, Any] = {name: _column(name, values, times.size) for name, values in stated.items()}
+        columns: dict[str, Any] = {name: _read_only_column(name, values, times.size) for name, values in stated.items()}
         epoch = columns.get("epoch", np.zeros(1))
         if not np.all(np.isfinite(epoch)) or np.any(epoch < 0) or np.any(epoch != np.floor(epoch)):
             raise InputError(
@@ -310,7 +310,7 @@ def time_step_s(unix_s: FloatArray) -> float:
     return 0.0 if scheduled else _MINUTE_S
 
 
-def _column(name: str, values: ArrayLike, length: int | None) -> FloatArray:
+def _read_only_column(name: str, values: ArrayLike, length: int | None) -> FloatArray:
     """Return a read-only copy of a column, (n,), or of unit vectors, (n, 3); one row is repeated for all."""
     vectors = name == "directions"
     try:
@@ -386,7 +386,7 @@ def filter_sightings(points: Sightings, *, site: Site, image_size: tuple[int, in
     static = static_positions(points.pixels[retained[still]])
     retained, day = retained[~still], day[~still]
     below = inside & ~above & ~alone
-    sigma_px, stated_px = _relative_sigma(points.sigma_px[retained], alone[retained])
+    sigma_px, stated_px = _normalise_sigma(points.sigma_px[retained], alone[retained])
     filtering = Filtering(
         dropped=tuple(Finding(code, {"n": int(n)}) for code, n in counts.items() if n),
         static=static,
@@ -422,7 +422,7 @@ def _air_columns(points: Sightings, directions: FloatArray, day: IntArray, site:
     return {"night": night, "refraction_sd": share}
 
 
-def _relative_sigma(sigma_px: FloatArray, alone: BoolArray) -> tuple[FloatArray, float]:
+def _normalise_sigma(sigma_px: FloatArray, alone: BoolArray) -> tuple[FloatArray, float]:
     """Return (n,): stated 1-sigmas over their median, 1 where nothing is stated; and their root mean square, px.
 
     A detector of the sun states its sigma to a factor, and its ratios are bounded; those stated with a direction are

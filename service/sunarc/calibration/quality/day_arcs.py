@@ -47,7 +47,7 @@ def smooth_arc(
     arc : (n, 2) px; residual: (n, 2) observed minus arc; weight: (n,) 0 for sightings off the arc.
     """
     order = min(_ORDER, max(1, pixels.shape[0] // 3)) if order is None else order
-    return _robustly_fitted(_powers(angle, order), pixels)
+    return _fit_robustly(_chebyshev_columns(angle, order), pixels)
 
 
 def smooth_days(pixels: FloatArray, angle: FloatArray, day: IntArray) -> tuple[FloatArray, int]:
@@ -60,14 +60,14 @@ def smooth_days(pixels: FloatArray, angle: FloatArray, day: IntArray) -> tuple[F
     day : (n,) solar days: some, over which the sun's declination changes evenly.
     """
     since = day - day.mean()
-    steady = _powers(angle, _ORDER_OF_CHANGE) * (since / max(float(np.abs(since).max()), 1.0))[:, None]
-    columns = np.concatenate([_powers(angle, _ORDER_OF_DAYS), steady], axis=-1)
+    steady = _chebyshev_columns(angle, _ORDER_OF_CHANGE) * (since / max(float(np.abs(since).max()), 1.0))[:, None]
+    columns = np.concatenate([_chebyshev_columns(angle, _ORDER_OF_DAYS), steady], axis=-1)
     # images at the same hours of each day determine no more of the arc
     unknowns = int(np.linalg.matrix_rank(columns, tol=_SAME_HOURS * math.sqrt(len(columns))))
-    return _robustly_fitted(columns, pixels, rounds=_ROUNDS_OF_DAYS)[1], unknowns
+    return _fit_robustly(columns, pixels, rounds=_ROUNDS_OF_DAYS)[1], unknowns
 
 
-def _powers(angle: FloatArray, order: int) -> FloatArray:
+def _chebyshev_columns(angle: FloatArray, order: int) -> FloatArray:
     """Return the Chebyshev polynomials (n, order + 1) of hour angles or times (n,)."""
     # in polar summer the hour angle passes 180 degrees while the sun is up
     unwrapped = np.unwrap(angle)
@@ -75,7 +75,7 @@ def _powers(angle: FloatArray, order: int) -> FloatArray:
     return np.asarray(np.polynomial.chebyshev.chebvander((unwrapped - middle) / max(half, 1e-9), order))
 
 
-def _robustly_fitted(
+def _fit_robustly(
     columns: FloatArray, pixels: FloatArray, *, rounds: int = _ROUNDS
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the fit (n, 2) of columns (n, p) to pixels, the residuals (n, 2), and the weights (n,)."""
@@ -162,21 +162,23 @@ def unexplained_days(calibration: Calibration, usable: Sightings) -> Unexplained
     used = ~np.isin(usable.index, calibration.left_out)
     clear, parts = np.zeros_like(track), list[tuple[IntArray, FloatArray]]()
     largest = max(_CLEAR_SIGMA_PX, _CLEAR_SIGMAS * calibration.evidence.sigma_px)
-    for rows in _judged_together(usable, np.flatnonzero(track), _FEWEST_TO_JUDGE):
+    for rows in _group_days(usable, np.flatnonzero(track), _FEWEST_TO_JUDGE):
         smooth, rough = _runs_smoothly(residual[rows], usable, rows, largest)
         if smooth:
             fresh = np.flatnonzero(~clear[rows])
             for of_day in np.split(fresh, np.flatnonzero(np.diff(usable.day[rows[fresh]])) + 1):
-                parts += _halves(usable, rows[of_day], rough[of_day])
+                parts += _split_into_halves(usable, rows[of_day], rough[of_day])
             clear[rows] = True
     # those of another camera run smoothly, from day to day too, and those that cloud draws aside do not
-    for rows in _judged_together(usable, np.flatnonzero(track & ~used), 2 * _FEWEST_FOR_SHARE):
+    for rows in _group_days(usable, np.flatnonzero(track & ~used), 2 * _FEWEST_FOR_SHARE):
         if _is_alike(residual[rows], usable, rows, largest):
             clear |= track & np.isin(usable.day, usable.day[rows]) & (usable.epoch == usable.epoch[rows[0]])
         else:
             clear[rows] = False
-    share, n = max(_left_out(clear, used), _left_out(clear & (usable.epoch == usable.epoch.max(initial=0)), used))
-    halves = _half_days(calibration, usable, residual, parts)
+    share, n = max(
+        _count_left_out(clear, used), _count_left_out(clear & (usable.epoch == usable.epoch.max(initial=0)), used)
+    )
+    halves = _measure_half_days(calibration, usable, residual, parts)
     far = [one for one in halves if one.sigmas > _FAR]
     if not far:
         return Unexplained({"share": share, "n": n}, None)
@@ -192,7 +194,7 @@ def unexplained_days(calibration: Calibration, usable: Sightings) -> Unexplained
     return Unexplained({"share": share, "n": n}, far_off)
 
 
-def _judged_together(usable: Sightings, rows: IntArray, fewest: int) -> Iterator[IntArray]:
+def _group_days(usable: Sightings, rows: IntArray, fewest: int) -> Iterator[IntArray]:
     """Yield the rows of each day; days of few join each other, before a full day they are left out.
 
     The last days of few of an epoch are joined by the rows before them.
@@ -225,13 +227,13 @@ def _is_alike(residual: FloatArray, usable: Sightings, rows: IntArray, largest_p
     return float(np.mean(weight > 0.0)) >= _SMOOTH_SHARE and scatter <= min(largest_px, _ALIKE * off)
 
 
-def _left_out(counted: BoolArray, used: BoolArray) -> tuple[float, int]:
+def _count_left_out(counted: BoolArray, used: BoolArray) -> tuple[float, int]:
     """Return the share of some sightings that was left out, and how many they are; 0 of too few."""
     n = int(counted.sum())
     return (float(np.mean(~used[counted])), n) if n >= _FEWEST_FOR_SHARE else (0.0, n)
 
 
-def _halves(usable: Sightings, rows: IntArray, rough: FloatArray) -> Iterator[tuple[IntArray, FloatArray]]:
+def _split_into_halves(usable: Sightings, rows: IntArray, rough: FloatArray) -> Iterator[tuple[IntArray, FloatArray]]:
     """Yield the rows (k,) of the halves of a day that are judged, with their residuals (k, 2) about smooth groups."""
     afternoon = usable.directions[rows, 0] < 0.0  # the sun is in the west
     for half in (~afternoon, afternoon):
@@ -240,10 +242,10 @@ def _halves(usable: Sightings, rows: IntArray, rough: FloatArray) -> Iterator[tu
             yield seen, rough[half]
 
 
-def _half_days(
+def _measure_half_days(
     calibration: Calibration, usable: Sightings, residual: FloatArray, halves: Sequence[tuple[IntArray, FloatArray]]
 ) -> list[_HalfDay]:
-    """Return how far halves of days, see `_halves`, lie off by residuals (n, 2) of all sightings."""
+    """Return how far halves of days, see `_split_into_halves`, lie off by residuals (n, 2) of all sightings."""
     some = [seen[:: -(-seen.size // _STATED_AT)] for seen, _ in halves]
     part = np.repeat(np.arange(len(some)), [one.size for one in some])
     # all at once: a call costs as much as some hundred directions

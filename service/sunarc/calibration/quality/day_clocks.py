@@ -62,7 +62,7 @@ def unsteady_clock(judged: JudgedFit) -> Data | None:
     days, day = np.unique(seen.day, return_inverse=True)
     if days.size < _FEWEST_DAYS:
         return None
-    columns = _columns(calibration, seen)
+    columns = _displacement_columns(calibration, seen)
     residual = residuals_by_pose(calibration.camera, calibration.poses, seen)
     fine = np.all(np.isfinite(residual), axis=-1)
     residual = np.where(fine[:, None], residual, 0.0)
@@ -98,7 +98,7 @@ def allowed_clock_s(judged: JudgedFit) -> float:
     return max(_LEAST_S, evidence.clock_error_s if evidence.clock_stated else 0.0)
 
 
-def _columns(calibration: Calibration, seen: Sightings) -> dict[str, FloatArray]:
+def _displacement_columns(calibration: Calibration, seen: Sightings) -> dict[str, FloatArray]:
     """Return displacements (n, 2, k) by name: per second of the clock, per turn and shift of the sky's turn in 1 s."""
     by_sky, outwards = np.zeros((len(seen), 2, 3)), np.zeros((len(seen), 2, 1))
     epoch = np.minimum(seen.epoch, len(calibration.poses) - 1)

@@ -165,7 +165,7 @@ def measure_day(
         takes it from `points`.
     """
     usable = filter_sightings(points, site=site)
-    possible = _possible(points, site, cadence_s) if n_possible is None else n_possible
+    possible = _count_possible_slots(points, site, cadence_s) if n_possible is None else n_possible
     if observed_unix_s is None:
         sampling = fully_observed(possible)
     else:  # those of every sun exposure, and of every sighting
@@ -176,7 +176,7 @@ def measure_day(
         return DayMeasure(n=n, n_possible=possible, n_observed=n_observed, doubtful_clock=doubtful_clock or 0.0)
     if doubtful_clock is None:
         doubtful_clock = float(np.mean(np.abs(np.nan_to_num(points.clock_error_s)) > MAX_CLOCK_ERROR_S))
-    residual, weight = _about_arcs(usable, site)
+    residual, weight = _residuals_about_arcs(usable, site)
     on_arc = weight > 0.0
     rmsd, _, _, sd = measures(residual)
     times = usable.unix_s[on_arc]
@@ -197,7 +197,7 @@ def measure_day(
     )
 
 
-def _about_arcs(usable: Sightings, site: Site) -> tuple[FloatArray, FloatArray]:
+def _residuals_about_arcs(usable: Sightings, site: Site) -> tuple[FloatArray, FloatArray]:
     """Return residuals (n, 2) and weights (n,) about the smooth arc of each pose epoch."""
     angle = hour_angle(usable.unix_s, site)
     residual, weight = np.zeros(usable.pixels.shape), np.zeros(len(usable))
@@ -210,7 +210,7 @@ def _about_arcs(usable: Sightings, site: Site) -> tuple[FloatArray, FloatArray]:
 
 def decide_day(measure: DayMeasure) -> DayVerdict:
     """Return the kind of a day, with its findings."""
-    unusable = _unusable(measure)
+    unusable = _find_unusable_reason(measure)
     if unusable is not None:
         return DayVerdict(kind="unusable", findings=(unusable,))
     share = measure.n_cycles / max(measure.n_observed, measure.n_cycles, 1)
@@ -229,7 +229,7 @@ def decide_day(measure: DayMeasure) -> DayVerdict:
     return DayVerdict(kind="partly" if partly else "clear", findings=tuple(found))
 
 
-def _unusable(measure: DayMeasure) -> Finding | None:
+def _find_unusable_reason(measure: DayMeasure) -> Finding | None:
     if measure.n_on_arc < _MIN_COUNT:
         return Finding("day_too_few_sightings", {"n": measure.n_on_arc, "least": _MIN_COUNT})
     if measure.arc_deg < _MIN_ARC_DEG:
@@ -249,7 +249,7 @@ def days_left_out(verdicts: Mapping[date, DayKind]) -> tuple[int, ...]:
     return tuple(sorted(date_to_day(day) for day, kind in verdicts.items() if kind not in kinds))
 
 
-def _possible(points: Sightings, site: Site, cadence_s: float) -> int:
+def _count_possible_slots(points: Sightings, site: Site, cadence_s: float) -> int:
     finite = points.unix_s[np.isfinite(points.unix_s)]
     if finite.size == 0:
         return 0

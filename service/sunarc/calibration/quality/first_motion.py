@@ -34,7 +34,7 @@ _LENS_DEG = 25.0
 _NEAR_ZENITH = 0.9
 """Sine of the doubt about which way is outwards, from which on it says nothing."""
 _ELEVATION_DEG = 50.0
-"""By which the zenith angle from the scale of the motion is off at most, for that tilt; see `_Due` for the lens."""
+"""Largest error of the zenith angle from the scale of the motion, for that tilt; lens: see `_ExpectedMotion`."""
 _PROJECTIONS = np.linspace(0.0, 1.0, 5)
 """From orthographic, whose scale along the radius falls to none at the horizon, to stereographic, where it does not."""
 
@@ -55,17 +55,17 @@ def site_contradiction(
     zenith = sun_angles(unix_s, site).apparent_zenith
     if unix_s.size >= FEWEST_IN_MOTION and float(np.median(zenith)) > _BELOW_DEG:
         return Finding("sun_seen_below_horizon", {"n": int(unix_s.size), "zenith_deg": float(np.median(zenith))})
-    motion = _motion(unix_s, pixels)
+    motion = _measure_motion(unix_s, pixels)
     if motion is None:
         return None
-    due = _due(motion.unix_s, site)
+    due = _compute_expected_motion(motion.unix_s, site)
     outwards = motion.middle - (np.array(image_size) - 1.0) / 2.0
     radius = float(np.linalg.norm(outwards))
     px_per_rad = float(np.linalg.norm(motion.velocity)) / due.rad_per_s
     doubt = (math.sin(math.radians(_TILT_DEG)) * px_per_rad + _CENTRE_SHARE * max(image_size)) / max(radius, 1e-9)
     if doubt >= _NEAR_ZENITH:
         return None
-    seen = _seen_angles(outwards / radius, motion.velocity, mirrored)
+    seen = _list_seen_angles(outwards / radius, motion.velocity, mirrored)
     off = min(float(np.min(np.abs(wrapped_deg(one - due.ways_deg)))) for one in seen)
     allowed = math.degrees(math.asin(doubt)) + _LENS_DEG
     seen_zenith = math.degrees(radius / px_per_rad)
@@ -77,8 +77,8 @@ def site_contradiction(
         "limit_deg": allowed,
         "seen_zenith_deg": seen_zenith,
         "zenith_deg": due.zenith_deg,
-        "seen": _word(seen[0]),
-        "expected": _word(float(due.ways_deg[-1])),
+        "seen": _name_vertical_motion(seen[0]),
+        "expected": _name_vertical_motion(float(due.ways_deg[-1])),
     }
     return Finding("sun_contradicts_site", data)
 
@@ -91,7 +91,7 @@ class _Motion(NamedTuple):
     velocity: FloatArray
 
 
-class _Due(NamedTuple):
+class _ExpectedMotion(NamedTuple):
     """The sun over the stated site: zenith angle, the direction of its way by projection, and its speed.
 
     The direction is from outwards (away from the zenith) towards a growing azimuth; the last one is that in the sky. A
@@ -104,7 +104,7 @@ class _Due(NamedTuple):
     farthest_deg: float
 
 
-def _motion(unix_s: FloatArray, pixels: FloatArray) -> _Motion | None:
+def _measure_motion(unix_s: FloatArray, pixels: FloatArray) -> _Motion | None:
     """Return the motion by medians over pairs; None where too little moved."""
     if unix_s.size < FEWEST_IN_MOTION or np.ptp(unix_s) < _SHORTEST_S:
         return None
@@ -120,7 +120,7 @@ def _motion(unix_s: FloatArray, pixels: FloatArray) -> _Motion | None:
     return _Motion(at_s, middle, velocity) if way > _LEAST_WAY * max(scatter, 0.25) else None
 
 
-def _due(unix_s: float, site: Site) -> _Due:
+def _compute_expected_motion(unix_s: float, site: Site) -> _ExpectedMotion:
     times = np.array([unix_s - 30.0, unix_s + 30.0])
     angles, (before, after) = sun_angles(times, site), sun_directions(times, site)
     first, last = np.radians(angles.apparent_zenith).tolist()
@@ -132,14 +132,14 @@ def _due(unix_s: float, site: Site) -> _Due:
     apart = 2.0 * math.asin(0.5 * float(np.linalg.norm(after - before)))
     lowest = zenith + math.radians(_TILT_DEG)
     farthest = math.degrees(math.tan(lowest)) if lowest < 0.5 * math.pi else math.inf
-    return _Due(math.degrees(zenith), ways, apart / 60.0, farthest)
+    return _ExpectedMotion(math.degrees(zenith), ways, apart / 60.0, farthest)
 
 
-def _word(way_deg: float) -> str:
+def _name_vertical_motion(way_deg: float) -> str:
     return "sets" if math.cos(math.radians(way_deg)) > 0.0 else "rises"
 
 
-def _seen_angles(outwards: FloatArray, velocity: FloatArray, mirrored: Mirrored) -> list[float]:
+def _list_seen_angles(outwards: FloatArray, velocity: FloatArray, mirrored: Mirrored) -> list[float]:
     """Return the motion's angle from outwards to counter-clockwise (that of a growing azimuth), for each handedness."""
     along = float(velocity @ outwards)
     across = float(velocity @ np.array([outwards[1], -outwards[0]]))

@@ -32,7 +32,7 @@ def add_pose_spread(calibration: Calibration, spread_deg: Sequence[float]) -> Ca
         return calibration
     east, north, up = larger.tolist()
     evidence = replace(calibration.evidence, pose_spread_deg=(east, north, up))
-    return replace(_widen(calibration, 1.0, np.sqrt(larger**2 - before**2)), evidence=evidence)
+    return replace(_add_daily_spread(calibration, 1.0, np.sqrt(larger**2 - before**2)), evidence=evidence)
 
 
 def scale_errors(calibration: Calibration, factor: float) -> Calibration:
@@ -54,10 +54,10 @@ def scale_errors(calibration: Calibration, factor: float) -> Calibration:
 def fit_direction_sigma_rms_deg(calibration: Calibration) -> float:
     """Return the stated 1-sigma over the sky without the allowance for the spread of daily poses, degrees."""
     spread = calibration.evidence.pose_spread_deg
-    return calibration.sky_rms_deg if spread is None else _widen(calibration, -1.0, spread).sky_rms_deg
+    return calibration.sky_rms_deg if spread is None else _add_daily_spread(calibration, -1.0, spread).sky_rms_deg
 
 
-def _widen(calibration: Calibration, sign: float, spread_deg: ArrayLike) -> Calibration:
+def _add_daily_spread(calibration: Calibration, sign: float, spread_deg: ArrayLike) -> Calibration:
     enu_covariance = np.diag(np.radians(np.asarray(spread_deg, dtype=np.float64)) ** 2)
     return add_pose_errors(calibration, sign * rotation_covariance(calibration.camera, enu_covariance))
 

@@ -127,7 +127,7 @@ class FitProblem:
 
     def camera(self, unknowns: FloatArray, epoch: int = 0) -> Camera:
         """Return the camera of an epoch."""
-        return self.template.replace_parameters(self._vectors(unknowns)[epoch])
+        return self.template.replace_parameters(self._camera_parameter_vectors(unknowns)[epoch])
 
     def unknowns(self, cameras: list[Camera]) -> FloatArray:
         """Return the unknowns of cameras that share a lens, one an epoch."""
@@ -136,7 +136,7 @@ class FitProblem:
 
     def residuals(self, unknowns: FloatArray, observed: Sightings) -> FloatArray:
         """Return observed minus predicted pixels, (n, 2)."""
-        vectors = self._vectors(unknowns)
+        vectors = self._camera_parameter_vectors(unknowns)
         residual = np.empty(observed.pixels.shape)
         for epoch in range(self.n_epochs):
             in_epoch = slice(None) if self.n_epochs == 1 else observed.epoch == epoch
@@ -148,7 +148,7 @@ class FitProblem:
             )
         if not self.blocks:
             return residual
-        columns, sizes = self._columns(observed), unknowns[N_LENS + 3 * self.n_epochs :]
+        columns, sizes = self._systematic_columns(observed), unknowns[N_LENS + 3 * self.n_epochs :]
         displaced = (columns.reshape(-1, sizes.size) @ sizes).reshape(columns.shape[:2])
         return np.where(residual == UNSEEN_PX, residual, residual - displaced)
 
@@ -165,7 +165,7 @@ class FitProblem:
         """Return the residuals (n, 2) and the derivatives of the prediction by the unknowns (n, 2, size)."""
         residual, columns = residuals_and_jacobian(
             self.kernel_numbers(),
-            self._vectors(unknowns),
+            self._camera_parameter_vectors(unknowns),
             self.sighted(observed),
             np.ascontiguousarray(unknowns[N_LENS + 3 * self.n_epochs :], dtype=np.float64),
             np.ascontiguousarray(self.prior.basis),
@@ -177,11 +177,11 @@ class FitProblem:
         return Sighted(
             directions=np.ascontiguousarray(observed.directions),
             pixels=np.ascontiguousarray(observed.pixels),
-            systematic_px=np.ascontiguousarray(self._columns(observed)),
+            systematic_px=np.ascontiguousarray(self._systematic_columns(observed)),
             epoch=np.ascontiguousarray(observed.epoch, dtype=np.int64),
         )
 
-    def _columns(self, observed: Sightings) -> FloatArray:
+    def _systematic_columns(self, observed: Sightings) -> FloatArray:
         """Return (n, 2, s): the displacements by the errors of the blocks, in their order."""
         if self.n_unit == observed.systematic_px.shape[2]:
             return observed.systematic_px
@@ -192,7 +192,7 @@ class FitProblem:
         """Return the numbers of the template that the kernels take; its displacement does not count."""
         return kernel_optics(self.template)
 
-    def _vectors(self, unknowns: FloatArray) -> FloatArray:
+    def _camera_parameter_vectors(self, unknowns: FloatArray) -> FloatArray:
         at, prior = np.asarray(unknowns, dtype=np.float64), self.prior
         return np.asarray(camera_vectors(prior.mean, np.ascontiguousarray(prior.basis), at, self.n_epochs))
 
@@ -247,11 +247,11 @@ class Bins:
         self, observed: Sightings, residual: FloatArray, information: FloatArray
     ) -> tuple[Sightings, FloatArray]:
         """Return one observation a bin (its pixels: those of the heaviest share) and the mean residuals (bins, 2)."""
-        total = self._sums(information)
+        total = self._sum_by_bin(information)
         safe = np.where(total > 0.0, total, 1.0)
         share = information / safe[self.member]
         first = np.searchsorted(self.member, np.arange(self.count + 1))
-        means = self._means(share, first)
+        means = self._make_bin_mean(share, first)
         # the mean of directions within a bin is shorter than 1 by 1e-4 at most; it is made a unit vector below
         columns = observed.directions, observed.pixels, residual, *np.moveaxis(observed.systematic_px, 1, 0)
         direction, pixels, mean, *systematic = (means(column) for column in columns)
@@ -283,17 +283,17 @@ class Bins:
         gathered, residual = self.gathered(observed, residuals, information * is_shown(residuals))
         return replace(gathered, pixels=gathered.pixels + residual - problem.residuals(unknowns, gathered))
 
-    def _sums(self, values: FloatArray) -> FloatArray:
+    def _sum_by_bin(self, values: FloatArray) -> FloatArray:
         return np.asarray(np.bincount(self.member, weights=values, minlength=self.count))
 
-    def _means(self, share: FloatArray, first: IntArray) -> Callable[[FloatArray], FloatArray]:
+    def _make_bin_mean(self, share: FloatArray, first: IntArray) -> Callable[[FloatArray], FloatArray]:
         """Return the function from columns (n, k) to their means (bins, k) by the shares (n,) of the bins' sightings.
 
         `first` (bins + 1,) are the sightings that the bins begin at.
         """
         if share.size < _MANY:
             return lambda columns: (
-                np.array([self._sums(share * one) for one in columns.T]).reshape(columns.shape[1], self.count).T
+                np.array([self._sum_by_bin(share * one) for one in columns.T]).reshape(columns.shape[1], self.count).T
             )
         from scipy.sparse import csr_array  # noqa: PLC0415 - a fit of one day loads without scipy
 
@@ -305,7 +305,7 @@ _MANY = 2000
 """Sightings from which on scipy's sparse product saves more time than its library takes to load."""
 
 
-def _begin(first: BoolArray) -> IntArray:
+def _first_row_of_part(first: BoolArray) -> IntArray:
     """Return (n,): the row that begins the part which each belongs to; a mask (n,) marks those that begin one."""
     return np.asarray(np.maximum.accumulate(np.where(first, np.arange(first.size), 0)))
 
@@ -319,8 +319,8 @@ def time_bins(usable: Sightings) -> Bins:
     if n == 0:
         return Bins(member=np.zeros(0, dtype=np.int64), count=0)
     run = np.r_[True, (np.diff(usable.day) != 0) | (np.diff(usable.epoch) != 0) | np.diff(usable.alone)]
-    slot = np.floor((usable.unix_s - usable.unix_s[_begin(run)]) / _SECONDS).astype(np.int64)
+    slot = np.floor((usable.unix_s - usable.unix_s[_first_row_of_part(run)]) / _SECONDS).astype(np.int64)
     part = run | usable.alone | np.r_[True, np.diff(slot) != 0]
-    fresh = part | ((np.arange(n) - _begin(part)) % _MOST == 0)
+    fresh = part | ((np.arange(n) - _first_row_of_part(part)) % _MOST == 0)
     member = np.cumsum(fresh) - 1
     return Bins(member=member, count=int(member[-1]) + 1)

@@ -70,18 +70,18 @@ def wahba(camera: Camera, observed: Sightings, *, rounds: int = 4) -> tuple[Came
     -------
     The turned camera, and the median angle left over in radians; infinite where too few pixels have a ray.
     """
-    matrices, misfits = _turns(_rays(camera, observed), observed.directions, rounds=rounds)
+    matrices, misfits = _solve_rotations(_rays_of_sightings(camera, observed), observed.directions, rounds=rounds)
     misfit = float(misfits[0])
     turned = replace(camera, rotation_cam_enu=rotation_vector(matrices[0])) if math.isfinite(misfit) else camera
     return turned, misfit
 
 
-def _rays(camera: Camera, observed: Sightings) -> FloatArray:
+def _rays_of_sightings(camera: Camera, observed: Sightings) -> FloatArray:
     """Return (3, 1, n): the directions that a camera sees the sightings in, in its own frame."""
     return unproject(as_far_as_it_rises(camera), observed.pixels).T[:, None]
 
 
-def _turns(rays: FloatArray, world: FloatArray, *, rounds: int = 4) -> tuple[FloatArray, FloatArray]:
+def _solve_rotations(rays: FloatArray, world: FloatArray, *, rounds: int = 4) -> tuple[FloatArray, FloatArray]:
     """Return the rotations (c, 3, 3) of cameras, and how well their rays (3, c, n) then meet directions (n, 3).
 
     That is the median angle left over in radians, (c,); infinite where too few rays are finite.
@@ -121,7 +121,9 @@ def candidates(observed: Sightings, guess: Camera, *, known: bool, best: int) ->
     """
     thin = observed.thinned(_SEARCHED_SIGHTINGS)
     factors = np.ones(1) if known else _FOCAL_FACTORS
-    matrices, misfits = _turns(_rays(guess, thin) if known else _ideal_rays(guess, factors, thin), thin.directions)
+    matrices, misfits = _solve_rotations(
+        _rays_of_sightings(guess, thin) if known else _rays_of_ideal_lenses(guess, factors, thin), thin.directions
+    )
     upright = np.isfinite(misfits) & (matrices[:, 2, 2] >= math.cos(LARGEST_TILT))
     order = [k for k in np.argsort(misfits, kind="stable").tolist() if upright[k]]
     x, y = guess.focal_length_px
@@ -135,7 +137,7 @@ def candidates(observed: Sightings, guess: Camera, *, known: bool, best: int) ->
     ]
 
 
-def _ideal_rays(camera: Camera, factors: FloatArray, observed: Sightings) -> FloatArray:
+def _rays_of_ideal_lenses(camera: Camera, factors: FloatArray, observed: Sightings) -> FloatArray:
     """Return (3, c, n): the same of ideal lenses, whose focal lengths are the camera's by factors (c,)."""
     x, y = calibrated(camera, observed.pixels)
     around, angle = np.arctan2(y, x), ideal_angle(camera.projection, np.hypot(x, y) / factors[:, None])
@@ -176,17 +178,17 @@ def first_cameras(
         thin = main.thinned(_THIN)
         # one problem for all: ideal lenses differ in the focal length alone, which has no prior here
         problem = single_problem(thin, tried[0], options, circle)
-        rough = [_polished(problem, thin, camera, whole=False, focal_prior=known) for camera in tried]
+        rough = [_fit_candidate(problem, thin, camera, whole=False, focal_prior=known) for camera in tried]
         rough.sort(key=lambda pair: pair[1])
         finer = [
-            _polished(single_problem(thin, camera, options, circle), thin, camera, whole=True)
+            _fit_candidate(single_problem(thin, camera, options, circle), thin, camera, whole=True)
             for camera, _ in rough[:_POLISHED]
         ]
         lens, cost = min(finer, key=lambda pair: pair[1])
     return [lens if one is main else wahba(lens, one)[0] for one in of_epochs], cost
 
 
-def _polished(
+def _fit_candidate(
     problem: FitProblem, observed: Sightings, camera: Camera, *, whole: bool, focal_prior: bool = True
 ) -> tuple[Camera, float]:
     """Fit one candidate: focal length, centre and pose, or the whole of it, the radial part loosely."""
@@ -296,7 +298,9 @@ def _rotations_from_pairs(world: FloatArray, rays: FloatArray) -> FloatArray:
     pairs = np.array(list(itertools.combinations(range(world.shape[0]), 2)), dtype=np.int64).reshape(-1, 2)
     if pairs.shape[0] > _PAIRS:
         pairs = np.random.default_rng(_SEED).choice(pairs, _PAIRS, replace=False)
-    separation = np.minimum(_distance(world, pairs), _distance(rays, pairs))  # a frozen camera sees one pixel for all
+    separation = np.minimum(
+        _distances_in_pairs(world, pairs), _distances_in_pairs(rays, pairs)
+    )  # a frozen camera sees one pixel for all
     pairs = pairs[separation > _LEAST_SEPARATION]
     if pairs.shape[0] == 0:
         return np.zeros((0, 3))
@@ -304,7 +308,7 @@ def _rotations_from_pairs(world: FloatArray, rays: FloatArray) -> FloatArray:
     return rotation_vectors(matrix)
 
 
-def _distance(vectors: FloatArray, pairs: IntArray) -> FloatArray:
+def _distances_in_pairs(vectors: FloatArray, pairs: IntArray) -> FloatArray:
     return np.asarray(np.linalg.norm(vectors[pairs[:, 0]] - vectors[pairs[:, 1]], axis=-1))
 
 

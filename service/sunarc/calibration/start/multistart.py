@@ -200,22 +200,22 @@ def _ransac_starts(
     residual, rows = problem.linearised(start, thin)
     steps = sampled_steps(residual, rows, start, precision)
     share, root = surely_well_behaved(len(thin), problem.size), np.sqrt(thin.information)
-    close = min(robust_sigma(d, share=share) for d in _distances(residual, rows, steps[:_JUDGED], root))
+    close = min(robust_sigma(d, share=share) for d in _distances_after_steps(residual, rows, steps[:_JUDGED], root))
     weight = root / max(close, 0.02)
     # most trials are poor, and a part of the sightings shows it
     few = slice(None, None, _FEW_STEP)
-    good = np.argsort(_disagreements(_distances(residual[few], rows[few], steps, weight[few])))[:_GOOD]
-    agreed = _disagreements(_distances(residual, rows, steps[good], weight))
+    good = np.argsort(_cauchy_losses(_distances_after_steps(residual[few], rows[few], steps, weight[few])))[:_GOOD]
+    agreed = _cauchy_losses(_distances_after_steps(residual, rows, steps[good], weight))
     return [start, *(start + steps[good[k]] for k in np.argsort(agreed)[:_TAKEN])]
 
 
-def _distances(residual: FloatArray, rows: FloatArray, steps: FloatArray, weight: FloatArray) -> FloatArray:
+def _distances_after_steps(residual: FloatArray, rows: FloatArray, steps: FloatArray, weight: FloatArray) -> FloatArray:
     """Return (k, n): distances after steps (k, p), each by its weight (n,)."""
     after = residual.ravel() - steps @ rows.reshape(-1, steps.shape[-1]).T
     return np.asarray(np.sqrt(after[:, ::2] ** 2 + after[:, 1::2] ** 2) * weight)
 
 
-def _disagreements(distances: FloatArray) -> FloatArray:
+def _cauchy_losses(distances: FloatArray) -> FloatArray:
     """Return (k,): Cauchy's loss of distances (k, n), in which it hardly counts how far off one is."""
     return np.asarray(np.sum(np.log1p(distances**2), axis=1))
 
@@ -229,10 +229,10 @@ def sampled_steps(residual: FloatArray, rows: FloatArray, start: FloatArray, pre
     columns = rows[picks].reshape(_TRIALS, 2 * _SAMPLE, -1) / _TRUST_PX
     normal = columns.swapaxes(1, 2) @ columns + np.diag(precision)
     gradient = (residual[picks].reshape(_TRIALS, 1, -1) / _TRUST_PX @ columns)[:, 0] - precision * start
-    return _solved(normal, gradient)
+    return _solve_normal_equations(normal, gradient)
 
 
-def _solved(normal: FloatArray, gradient: FloatArray) -> FloatArray:
+def _solve_normal_equations(normal: FloatArray, gradient: FloatArray) -> FloatArray:
     """Return the steps (..., p) of normal equations (..., p, p), (..., p); zeros where they cannot be solved."""
     scale = 1.0 / np.sqrt(np.maximum(np.diagonal(normal, axis1=-2, axis2=-1), 1e-300))
     scaled = normal * scale[..., :, None] * scale[..., None, :] + _RIDGE * np.eye(scale.shape[-1])

@@ -81,14 +81,14 @@ def brightest_spots(image: Image, *, count: int, reach: int, floor: float) -> li
             break
         row, column = divmod(int(k), best.shape[1])
         x, y = _brightest_pixel(image, x0=column * _TILE, y0=row * _TILE)
-        if not _belongs(x, y, spots):
+        if not _is_part_of_spot(x, y, spots):
             spot = measure_spot(image, x=x, y=y, reach=reach)
-            if not _belongs(spot.x, spot.y, spots):
+            if not _is_part_of_spot(spot.x, spot.y, spots):
                 spots.append(spot)
     return spots
 
 
-def _belongs(x: float, y: float, spots: list[Spot]) -> bool:
+def _is_part_of_spot(x: float, y: float, spots: list[Spot]) -> bool:
     return any(math.hypot(spot.x - x, spot.y - y) < 4.0 + 2.0 * spot.semi_axes[1] for spot in spots)
 
 
@@ -221,15 +221,15 @@ def detect_sun(
     InputError : the array is not an image of this sensor.
     """
     require_raw(image, sensor)
-    clear = _clear_level(expectation, options, exposure_us)
+    clear = _expected_clear_level(expectation, options, exposure_us)
     if expectation is not None:
         expectation = replace(expectation, clear_peak_fraction=clear)
     limit = math.radians(MAX_APPARENT_ZENITH_DEG)
     if expectation is not None and expectation.apparent_zenith is not None and expectation.apparent_zenith > limit:
         zenith = math.degrees(expectation.apparent_zenith)
-        found = _none("below_horizon", Finding("sun_below_horizon", {"zenith_deg": zenith}))
+        found = _make_rejection("below_horizon", Finding("sun_below_horizon", {"zenith_deg": zenith}))
     elif expectation is None:
-        found = _search(image, sensor=sensor)
+        found = _search_frame(image, sensor=sensor)
     else:
         found = _detect_near(image, sensor=sensor, expectation=expectation)
     # Only without a prediction: a full moon fits a disc as well as a dimmed sun does.
@@ -238,7 +238,9 @@ def detect_sun(
     return replace(_reject_faint(found, clear), exposure_us=exposure_us)
 
 
-def _clear_level(expectation: Expectation | None, options: DiscOptions, exposure_us: float | None) -> float | None:
+def _expected_clear_level(
+    expectation: Expectation | None, options: DiscOptions, exposure_us: float | None
+) -> float | None:
     """Return the clear sun's level over full scale, where known."""
     if expectation is not None and expectation.clear_peak_fraction is not None:
         return expectation.clear_peak_fraction
@@ -262,7 +264,7 @@ def _reject_unpredicted_faint(found: Detection, exposure_us: float) -> Detection
     return replace(found, accepted=False, verdict="hidden", findings=(faint,))
 
 
-def _none(verdict: Verdict, finding: Finding) -> Detection:
+def _make_rejection(verdict: Verdict, finding: Finding) -> Detection:
     return Detection(method="disc", accepted=False, verdict=verdict, findings=(finding,))
 
 
@@ -270,8 +272,8 @@ def _detect_near(image: Image, *, sensor: Sensor, expectation: Expectation) -> D
     """Detect the sun around the predicted pixel."""
     height, width = image.shape
     if not (-0.5 <= expectation.x_px < width - 0.5 and -0.5 <= expectation.y_px < height - 0.5):
-        return _none("hidden", Finding("sun_outside_image"))
-    axes = _expected_axes(expectation)
+        return _make_rejection("hidden", Finding("sun_outside_image"))
+    axes = _compute_expected_axes(expectation)
     size = 2.0 * (MAX_RADIUS_PX / sensor.binning if axes is None else semi_axes(axes)[1])
     reach = 2.0 + 5.0 * expectation.uncertainty_px + size
     found = _search_near(reach, image, axes, sensor=sensor, expectation=expectation)
@@ -293,23 +295,23 @@ def _search_near(
     """Search for the brightest spot within `reach` px of the predicted pixel."""
     x0, y0 = max(0, round(expectation.x_px - reach)), max(0, round(expectation.y_px - reach))
     part = image[y0 : round(expectation.y_px + reach) + 1, x0 : round(expectation.x_px + reach) + 1]
-    spots = brightest_spots(part, count=1, reach=max(part.shape), floor=_floor(sensor))
+    spots = brightest_spots(part, count=1, reach=max(part.shape), floor=_minimum_core_counts(sensor))
     if not spots:
-        return _dark(part, sensor)
+        return _make_dark_rejection(part, sensor)
     spot = spots[0]._replace(x=spots[0].x + x0, y=spots[0].y + y0)
-    return _fitted(image, spot, axes, sensor=sensor, expectation=expectation)
+    return _fit_spot(image, spot, axes, sensor=sensor, expectation=expectation)
 
 
-def _search(image: Image, *, sensor: Sensor) -> Detection:
+def _search_frame(image: Image, *, sensor: Sensor) -> Detection:
     """Search the whole frame; the brightest spot must stand out, and stand alone."""
     reach = math.ceil(1.5 * MAX_RADIUS_PX / sensor.binning)
-    spots = brightest_spots(image, count=_CANDIDATES, reach=reach, floor=_floor(sensor))
+    spots = brightest_spots(image, count=_CANDIDATES, reach=reach, floor=_minimum_core_counts(sensor))
     if not spots:
-        return _dark(image, sensor)
+        return _make_dark_rejection(image, sensor)
     first = spots[0]
     if first.contrast < 0.5 * (first.level - sensor.black_level):
-        return _none("hidden", Finding("no_outstanding_region", {"level": first.level / sensor.full_scale}))
-    found = _fitted(image, first, None, sensor=sensor, expectation=None)
+        return _make_rejection("hidden", Finding("no_outstanding_region", {"level": first.level / sensor.full_scale}))
+    found = _fit_spot(image, first, None, sensor=sensor, expectation=None)
     smallest_px = 0.7 * MIN_RADIUS_PX / sensor.binning
     rivals = [s for s in spots[1:] if s.contrast > 0.3 * first.contrast and s.semi_axes[1] > smallest_px]
     if found.accepted and rivals:
@@ -319,28 +321,28 @@ def _search(image: Image, *, sensor: Sensor) -> Detection:
     return found
 
 
-def _floor(sensor: Sensor) -> float:
+def _minimum_core_counts(sensor: Sensor) -> float:
     """Return the counts that a disc's core exceeds, noise allowed for; a Bayer mosaic's weakest colour has fewest."""
     share = 0.3 if sensor.bayer else 0.5
     noise = 2.0 * sensor.read_noise_e / sensor.gain_e_per_count
     return sensor.black_level + max(share * MIN_PEAK_FRACTION * sensor.full_scale - noise, 0.0)
 
 
-def _expected_axes(expectation: Expectation) -> FloatArray | None:
+def _compute_expected_axes(expectation: Expectation) -> FloatArray | None:
     if expectation.stretch_px_per_rad is None:
         return None
     stretch = np.array(expectation.stretch_px_per_rad) * math.radians(SOLAR_RADIUS_DEG)
     return symmetric_root(stretch @ stretch.T)
 
 
-def _dark(part: Image, sensor: Sensor) -> Detection:
+def _make_dark_rejection(part: Image, sensor: Sensor) -> Detection:
     top = float(part.max()) if part.size else 0.0
     peak = max(top - sensor.black_level, 0.0) / sensor.full_scale
     dark = Finding("no_bright_region", {"least": MIN_PEAK_FRACTION})
-    return replace(_none("hidden", dark), peak_fraction=peak)
+    return replace(_make_rejection("hidden", dark), peak_fraction=peak)
 
 
-def _fitted(
+def _fit_spot(
     image: Image,
     spot: Spot,
     axes: FloatArray | None,
@@ -349,25 +351,25 @@ def _fitted(
     expectation: Expectation | None,
 ) -> Detection:
     """Fit and judge the disc at a spot; `axes` None: the disc's shape is fitted too."""
-    shapes = _first_shapes(spot, axes, sensor)
+    shapes = _list_first_shapes(spot, axes, sensor)
     start = shapes[0][1]
     half = math.ceil(max(semi_axes(start)[1], spot.semi_axes[1]) + _MARGIN_PX * PSF_PX / sensor.binning + 2.0)
     longest = MAX_RADIUS_PX / sensor.binning
     if spot.semi_axes[1] > 2.0 * longest or half > 4.0 * longest:
-        return _none("hidden", Finding("disc_too_long", {"length_px": 2.0 * spot.semi_axes[1]}))
+        return _make_rejection("hidden", Finding("disc_too_long", {"length_px": 2.0 * spot.semi_axes[1]}))
     at = (spot.x, spot.y)
     window = cut(image, center=at, half=half, sensor=sensor, saturation_fraction=SATURATION_FRACTION)
-    if _all_saturated(window):
+    if _is_mostly_saturated(window):
         saturated = Finding("disc_saturated", {"n": window.saturated_px})
-        return replace(_none("saturated", saturated), saturated_px=window.saturated_px, peak_fraction=1.0)
+        return replace(_make_rejection("saturated", saturated), saturated_px=window.saturated_px, peak_fraction=1.0)
     radius_px = math.sqrt(math.prod(semi_axes(start)))
-    fit = _fit(window, _Start(at, shapes, radius_px), free=axes is None, sensor=sensor)
+    fit = _fit_disc_model(window, _Start(at, shapes, radius_px), free=axes is None, sensor=sensor)
     if fit is None:
-        return _none("hidden", Finding("disc_too_few_pixels"))
+        return _make_rejection("hidden", Finding("disc_too_few_pixels"))
     verdict = judge_fit(fit, expectation=expectation, sensor=sensor)
     if verdict[1] and expectation is None and not window.saturated_px:
         again = _Start((fit.x_px, fit.y_px), [(fit.width_px, fit.stretch)], radius_px)
-        if is_flat(fit, _fit(window, again, free=True, sensor=sensor, limb_darkening=0.0)):
+        if is_flat(fit, _fit_disc_model(window, again, free=True, sensor=sensor, limb_darkening=0.0)):
             verdict = ("hidden", False, Finding("disc_without_limb"))
     return make_detection(fit, verdict, sensor=sensor, saturated_px=window.saturated_px)
 
@@ -380,7 +382,7 @@ class _Start(NamedTuple):
     radius_px: float
 
 
-def _fit(
+def _fit_disc_model(
     window: Window, start: _Start, *, free: bool, sensor: Sensor, limb_darkening: float = LIMB_DARKENING
 ) -> DiscFit | None:
     """Fit a disc of that limb darkening; `free`: its shape too."""
@@ -390,7 +392,7 @@ def _fit(
     return fit_disc(window, start=start.at, shapes=start.shapes, sources=sources, sensor=sensor, prior=prior)
 
 
-def _first_shapes(spot: Spot, axes: FloatArray | None, sensor: Sensor) -> list[tuple[float, FloatArray]]:
+def _list_first_shapes(spot: Spot, axes: FloatArray | None, sensor: Sensor) -> list[tuple[float, FloatArray]]:
     """Return initial values of point spread and axes; several for a saturated disc, which shows neither."""
     psf_px, shortest, longest = (length / sensor.binning for length in (PSF_PX, MIN_RADIUS_PX, MAX_RADIUS_PX))
     saturated = spot.level >= saturated_level(sensor, SATURATION_FRACTION)
@@ -406,7 +408,7 @@ def _first_shapes(spot: Spot, axes: FloatArray | None, sensor: Sensor) -> list[t
     return [(w * psf_px, np.asarray((vectors * sizes) @ vectors.T)) for sizes in smaller for w in widths]
 
 
-def _all_saturated(window: Window) -> bool:
+def _is_mostly_saturated(window: Window) -> bool:
     return bool(np.count_nonzero(window.usable) < 0.3 * window.usable.size)
 
 
@@ -438,7 +440,7 @@ def obstruction(image: Image, *, sensor: Sensor, expectation: Expectation, reach
         return None
     x, y, reach = round(expectation.x_px), round(expectation.y_px), math.ceil(reach_px)
     part = image[max(0, y - reach) : y + reach + 1, max(0, x - reach) : x + reach + 1].astype(np.float64)
-    tiles = _tile_means(image)
+    tiles = _sample_tile_means(image)
     if tiles.size == 0 or part.size == 0:
         return None
     noise = math.hypot(sensor.read_noise_e / sensor.gain_e_per_count, 0.3)
@@ -450,7 +452,7 @@ def obstruction(image: Image, *, sensor: Sensor, expectation: Expectation, reach
     return Finding("sun_obstructed", {"level": level / sensor.full_scale, "sky": sky / sensor.full_scale})
 
 
-def _tile_means(image: Image) -> FloatArray:
+def _sample_tile_means(image: Image) -> FloatArray:
     """Return the mean of some rows of every whole tile, flat."""
     down, across = image.shape[0] // _TILE, image.shape[1] // _TILE
     rows = image[: down * _TILE : _TILE_ROWS, : across * _TILE]
@@ -467,15 +469,15 @@ _SIGNIFICANT_CLASSIFY = 16.0  # chi² of four parameters
 
 def judge_fit(fit: DiscFit, *, expectation: Expectation | None, sensor: Sensor) -> tuple[Verdict, bool, Finding]:
     """Return the verdict, whether the position can be accepted, and the deciding finding."""
-    for check in (_no_disc, _judge_place, _judge_cover, _uncertain):
+    for check in (_check_disc, _judge_place, _judge_cover, _check_certainty):
         found = check(fit, expectation, sensor)
         if found is not None:
             return found[0], False, found[1]
-    veil = _veil(fit, expectation, sensor)
+    veil = _find_veil(fit, expectation, sensor)
     return ("clear", True, Finding("disc_found", {"chi2": fit.chi2})) if veil is None else ("veiled", True, veil)
 
 
-def _no_disc(fit: DiscFit, expectation: Expectation | None, sensor: Sensor) -> tuple[Verdict, Finding] | None:
+def _check_disc(fit: DiscFit, expectation: Expectation | None, sensor: Sensor) -> tuple[Verdict, Finding] | None:
     numbers = (fit.x_px, fit.y_px, fit.sigma_px, fit.level, fit.chi2, fit.snr)
     if not all(math.isfinite(number) for number in numbers) or not fit.converged:
         return "hidden", Finding("disc_not_converged")
@@ -487,10 +489,10 @@ def _no_disc(fit: DiscFit, expectation: Expectation | None, sensor: Sensor) -> t
     deviation = abs(math.log(fit.width_px / psf_px))
     if deviation > 4.0 * PSF_TOLERANCE:
         return "hidden", Finding("disc_edge_width", {"width_px": fit.width_px, "expected_px": psf_px})
-    return _unusual_size(fit, sensor) if expectation is None or expectation.stretch_px_per_rad is None else None
+    return _check_size(fit, sensor) if expectation is None or expectation.stretch_px_per_rad is None else None
 
 
-def _unusual_size(fit: DiscFit, sensor: Sensor) -> tuple[Verdict, Finding] | None:
+def _check_size(fit: DiscFit, sensor: Sensor) -> tuple[Verdict, Finding] | None:
     minor, major = semi_axes(fit.stretch)
     axes = {"minor_px": minor, "major_px": major}
     if not MIN_RADIUS_PX <= minor * sensor.binning <= major * sensor.binning <= MAX_RADIUS_PX:
@@ -502,14 +504,14 @@ def _unusual_size(fit: DiscFit, sensor: Sensor) -> tuple[Verdict, Finding] | Non
 
 def _judge_place(fit: DiscFit, expectation: Expectation | None, sensor: Sensor) -> tuple[Verdict, Finding] | None:
     if expectation is None:
-        return _unlikely(fit, sensor)
+        return _check_unpredicted(fit, sensor)
     distance = math.hypot(fit.x_px - expectation.x_px, fit.y_px - expectation.y_px)
     if distance > _POSITION_TOLERANCE_PX + 5.0 * expectation.uncertainty_px:
         return "reflection", Finding("disc_displaced", {"distance_px": distance})
     return None
 
 
-def _unlikely(fit: DiscFit, sensor: Sensor) -> tuple[Verdict, Finding] | None:
+def _check_unpredicted(fit: DiscFit, sensor: Sensor) -> tuple[Verdict, Finding] | None:
     """Return why a disc without a prediction is rejected: the moon and small clouds are fainter or fit worse."""
     if fit.level < _UNPREDICTED_LEVEL * sensor.full_scale:
         return "hidden", Finding("disc_faint_unpredicted", {"level": fit.level / sensor.full_scale})
@@ -544,7 +546,7 @@ def _judge_cover(fit: DiscFit, expectation: Expectation | None, sensor: Sensor) 
     return None
 
 
-def _uncertain(fit: DiscFit, expectation: Expectation | None, sensor: Sensor) -> tuple[Verdict, Finding] | None:
+def _check_certainty(fit: DiscFit, expectation: Expectation | None, sensor: Sensor) -> tuple[Verdict, Finding] | None:
     del expectation
     if fit.level < MIN_ACCEPTED_FRACTION * sensor.full_scale:
         return "veiled", Finding("disc_faint", {"level": fit.level / sensor.full_scale})
@@ -553,7 +555,7 @@ def _uncertain(fit: DiscFit, expectation: Expectation | None, sensor: Sensor) ->
     return None
 
 
-def _veil(fit: DiscFit, expectation: Expectation | None, sensor: Sensor) -> Finding | None:
+def _find_veil(fit: DiscFit, expectation: Expectation | None, sensor: Sensor) -> Finding | None:
     if expectation is not None and expectation.clear_peak_fraction:
         share = fit.level / sensor.full_scale / expectation.clear_peak_fraction
         if share < VEILED_BELOW:

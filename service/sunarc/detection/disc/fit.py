@@ -63,12 +63,12 @@ def band_gain(
     own = np.stack([np.ones(light.size), light / max(float(light.max()), 1e-9)], axis=-1)
     least_px = _LEAST_SHIFT * sigma_px
     return (
-        _best_band(row, height, own, evaluation, solved, least_px=least_px),
-        _best_band(column, width, own, evaluation, solved, least_px=least_px),
+        _find_best_band(row, height, own, evaluation, solved, least_px=least_px),
+        _find_best_band(column, width, own, evaluation, solved, least_px=least_px),
     )
 
 
-def _best_band(
+def _find_best_band(
     line: NDArray[np.intp],
     lines: int,
     own: FloatArray,
@@ -94,12 +94,16 @@ def _best_band(
     gained = np.einsum("mi,mi->m", score, fitted)
     shift_px = np.linalg.norm(np.einsum("mik,mi->mk", pull[:, :, :2], fitted), axis=1)
     total = float(weight @ residual**2)
-    misfit = np.maximum((total - gained) / max(line.size - p - 2, 1), _misfit(line, lines, evaluation, covariance))
+    misfit = np.maximum(
+        (total - gained) / max(line.size - p - 2, 1), _chi2_outside_bands(line, lines, evaluation, covariance)
+    )
     noticeable = shift_px > least_px
     return float(np.max(gained[noticeable] / np.maximum(misfit[noticeable], 1.0), initial=0.0))
 
 
-def _misfit(line: NDArray[np.intp], lines: int, evaluation: model.Evaluation, covariance: FloatArray) -> FloatArray:
+def _chi2_outside_bands(
+    line: NDArray[np.intp], lines: int, evaluation: model.Evaluation, covariance: FloatArray
+) -> FloatArray:
     """Return the mean chi² of the pixels outside of each band, each counting as much as it tells of the position."""
     information, chi2 = model.pixel_information(evaluation.jacobian, evaluation.weight, evaluation.residual, covariance)
     first, last = np.triu_indices(lines + 1, 1)
@@ -187,41 +191,43 @@ def fit_disc(
     problem = model.make_problem(window, origin=position, sensor=sensor, sources=sources, prior=prior)
     if problem.pixels.place.size < 30 + 4 * window.colours:
         return None
-    state, evaluation, converged = _from_best(problem, starts)
+    state, evaluation, converged = _fit_from_best_start(problem, starts)
     for _ in range(_CLEANINGS):
-        bad = _outliers(evaluation)
+        bad = _find_outliers(evaluation)
         if not bad.any():
             break
         problem = model.without(problem, bad)
-        state, evaluation, converged = _solve(problem, state, model.evaluate(problem, state))
-    if _reduced_chi2(evaluation) > _WINGS_CHI2:
+        state, evaluation, converged = _minimise(problem, state, model.evaluate(problem, state))
+    if _compute_reduced_chi2(evaluation) > _WINGS_CHI2:
         problem = problem._replace(prior=prior._replace(free_wings=True))
-        state, evaluation, converged = _solve(problem, state, model.evaluate(problem, state))
-    return _summary(problem, state, evaluation, converged=converged)
+        state, evaluation, converged = _minimise(problem, state, model.evaluate(problem, state))
+    return _make_disc_fit(problem, state, evaluation, converged=converged)
 
 
-def _from_best(problem: model.DiscProblem, starts: list[FloatArray]) -> tuple[model.DiscState, model.Evaluation, bool]:
+def _fit_from_best_start(
+    problem: model.DiscProblem, starts: list[FloatArray]
+) -> tuple[model.DiscState, model.Evaluation, bool]:
     """Fit from the first start, and from the best of the others where its chi² is high.
 
     A saturated disc hides its shape: where that is free a poor start may fit well, and the best is taken at once.
     """
     if problem.window.saturated_px and problem.sensor.binning > 1:  # clipped means: many local minima
         return min(
-            (_solve(problem, *model.solve_levels(problem, start)) for start in starts), key=lambda one: one[1].cost
+            (_minimise(problem, *model.solve_levels(problem, start)) for start in starts), key=lambda one: one[1].cost
         )
     if problem.window.saturated_px and problem.prior.free_stretch:
-        return _solve(problem, *_best_start(problem, starts))
-    end = _solve(problem, *model.solve_levels(problem, starts[0]))
-    if len(starts) == 1 or _reduced_chi2(end[1]) < _MULTISTART_CHI2:
+        return _minimise(problem, *_best_start(problem, starts))
+    end = _minimise(problem, *model.solve_levels(problem, starts[0]))
+    if len(starts) == 1 or _compute_reduced_chi2(end[1]) < _MULTISTART_CHI2:
         return end
-    return min(end, _solve(problem, *_best_start(problem, starts[1:])), key=lambda one: one[1].cost)
+    return min(end, _minimise(problem, *_best_start(problem, starts[1:])), key=lambda one: one[1].cost)
 
 
 def _best_start(problem: model.DiscProblem, starts: list[FloatArray]) -> tuple[model.DiscState, model.Evaluation]:
     return min((model.solve_levels(problem, nonlinear) for nonlinear in starts), key=lambda start: start[1].cost)
 
 
-def _reduced_chi2(evaluation: model.Evaluation) -> float:
+def _compute_reduced_chi2(evaluation: model.Evaluation) -> float:
     """Return the reduced chi²."""
     count, parameters = int(evaluation.jacobian.shape[0]), int(evaluation.jacobian.shape[1])
     return float(evaluation.weight @ evaluation.residual**2) / max(count - parameters, 1)
@@ -240,7 +246,7 @@ def _apply_step(problem: model.DiscProblem, state: model.DiscState, step: FloatA
     return model.DiscState(nonlinear, state.flux + flux, state.background + background, state.around + around)
 
 
-def _solve(
+def _minimise(
     problem: model.DiscProblem, state: model.DiscState, evaluation: model.Evaluation
 ) -> tuple[model.DiscState, model.Evaluation, bool]:
     """Minimise by Levenberg and Marquardt's method."""
@@ -270,7 +276,7 @@ def _solve(
     return state, evaluation, False
 
 
-def _outliers(evaluation: model.Evaluation) -> BoolArray:
+def _find_outliers(evaluation: model.Evaluation) -> BoolArray:
     """Return the few pixels that no disc explains (hot or dead ones); empty where they are many."""
     deviation = np.abs(evaluation.residual) * np.sqrt(evaluation.weight)
     if float(deviation.max()) <= _OUTLIER:
@@ -281,13 +287,13 @@ def _outliers(evaluation: model.Evaluation) -> BoolArray:
     return bad if np.count_nonzero(bad) <= _MOST_OUTLIERS else np.zeros_like(bad)
 
 
-def _summary(
+def _make_disc_fit(
     problem: model.DiscProblem, state: model.DiscState, evaluation: model.Evaluation, *, converged: bool
 ) -> DiscFit:
     matrix, gradient = model.normal_equations(problem, state, evaluation)
     covariance = model.inverse(matrix)
     count = evaluation.residual.size
-    chi2 = _reduced_chi2(evaluation)
+    chi2 = _compute_reduced_chi2(evaluation)
     first_flux = matrix.shape[0] - state.around.size - 2 * problem.window.colours
     levels = state.flux / max(abs(float(np.linalg.det(state.stretch))), 1e-9)
     best = int(np.argmax(levels))
@@ -296,7 +302,9 @@ def _summary(
     # Mean square beyond the expected variance: negative by chance where the model is right.
     excess = float(np.mean(evaluation.residual**2 - 1.0 / evaluation.weight))
     top = max(min(level, problem.sensor.full_scale - problem.sensor.black_level), 1e-9)
-    sigma_px = math.sqrt(max(0.5 * float(np.trace(covariance[:2, :2])) * _local_chi2(evaluation, covariance), 0.0))
+    sigma_px = math.sqrt(
+        max(0.5 * float(np.trace(covariance[:2, :2])) * _compute_local_chi2(evaluation, covariance), 0.0)
+    )
     return DiscFit(
         x_px=float(state.nonlinear[0]) + problem.window.first[0],
         y_px=float(state.nonlinear[1]) + problem.window.first[1],
@@ -315,7 +323,7 @@ def _summary(
     )
 
 
-def _local_chi2(evaluation: model.Evaluation, covariance: FloatArray) -> float:
+def _compute_local_chi2(evaluation: model.Evaluation, covariance: FloatArray) -> float:
     """Return the reduced chi² of the pixels that tell the position, each counting as much as it tells.
 
     It rests on few pixels, so it is widened as Student's distribution is: the mean square of error / sigma stays 1.

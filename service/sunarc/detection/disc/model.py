@@ -85,11 +85,11 @@ def sun_sources(*, radius_px: float, psf_px: float, limb_darkening: float) -> Su
 
 def disc_sources(*, radius_px: float, psf_px: float, limb_darkening: float) -> Sources:
     """Return sources dense enough that a disc of this radius shows no grain through this point spread."""
-    return _sources(math.ceil(_DENSITIES * radius_px / psf_px) / _DENSITIES, limb_darkening)
+    return _make_sources(math.ceil(_DENSITIES * radius_px / psf_px) / _DENSITIES, limb_darkening)
 
 
 @lru_cache(maxsize=64)
-def _sources(radius_in_psf: float, limb_darkening: float) -> Sources:
+def _make_sources(radius_in_psf: float, limb_darkening: float) -> Sources:
     # Rings 0.7 of the point spread apart: a coarser disc would show them, a finer one costs time a source.
     rings = min(max(4, math.ceil(1.4 * radius_in_psf)), _MOST_RINGS)
     nodes, node_weights = np.polynomial.legendre.leggauss(rings)
@@ -215,16 +215,16 @@ def solve_levels(problem: DiscProblem, nonlinear: FloatArray) -> tuple[DiscState
     """Return the state whose linear parameters fit best at the given nonlinear ones, and the model there."""
     colours = problem.window.colours
     dark = DiscState(nonlinear, np.zeros(colours), np.zeros(colours), np.zeros(4))
-    planes = _planes(problem, dark)
+    planes = _render_planes(problem, dark)
     # The model is not known yet, so that the variance comes from the counts themselves.
-    misfit = _likelihood(problem, dark, planes, moved=(), by_counts=True)
+    misfit = _compute_likelihood(problem, dark, planes, moved=(), by_counts=True)
     linear = problem.window.linear.ravel()[problem.pixels.place]
     matrix, gradient = normal_matrix(misfit[3], misfit[2] * linear, misfit[1])
     levels = inverse(matrix) @ gradient
     # A dark hole would give a negative flux, which is no disc.
     flux = np.maximum(levels[:colours], 1e-3)
     best = DiscState(nonlinear, flux, levels[colours : 2 * colours], levels[2 * colours :])
-    return best, _evaluate(problem, best, planes)
+    return best, _evaluate_planes(problem, best, planes)
 
 
 def inverse(matrix: FloatArray) -> FloatArray:
@@ -239,22 +239,22 @@ def inverse(matrix: FloatArray) -> FloatArray:
 
 def evaluate(problem: DiscProblem, state: DiscState) -> Evaluation:
     """Return residuals, weights, derivatives and twice the negative log likelihood at a state."""
-    return _evaluate(problem, state, _planes(problem, state))
+    return _evaluate_planes(problem, state, _render_planes(problem, state))
 
 
-def _planes(problem: DiscProblem, state: DiscState) -> FloatArray:
+def _render_planes(problem: DiscProblem, state: DiscState) -> FloatArray:
     """Return the disc's planes, and where the wings are free the derivative by their share."""
     psf, sources = math.exp(state.nonlinear[PSF]), problem.sources
-    core = _rendered(problem, state, sources.core, psf=psf)
+    core = _render_on_sensor(problem, state, sources.core, psf=psf)
     if not problem.prior.free_wings:
         return core
-    wings = _rendered(problem, state, sources.wings, psf=WING_PSF * psf)
+    wings = _render_on_sensor(problem, state, sources.wings, psf=WING_PSF * psf)
     wings[BY_PSF] *= WING_PSF  # by the core's point spread, of which the wings' is a multiple
     more = wings - core
     return np.concatenate([core + state.nonlinear[WINGS] * more, more[:1]])
 
 
-def _rendered(problem: DiscProblem, state: DiscState, sources: Sources, *, psf: float) -> FloatArray:
+def _render_on_sensor(problem: DiscProblem, state: DiscState, sources: Sources, *, psf: float) -> FloatArray:
     """Return the disc's planes on the sensor's own pixels; derivatives are by the image's, which are `binning` wide."""
     n, (rows, columns) = problem.sensor.binning, problem.window.counts.shape
     x, y = (n * state.nonlinear[:2] + 0.5 * (n - 1)).tolist()
@@ -265,14 +265,14 @@ def _rendered(problem: DiscProblem, state: DiscState, sources: Sources, *, psf: 
     return planes
 
 
-def _evaluate(problem: DiscProblem, state: DiscState, planes: FloatArray) -> Evaluation:
+def _evaluate_planes(problem: DiscProblem, state: DiscState, planes: FloatArray) -> Evaluation:
     moved = tuple(_MOVED[k] for k in problem.prior.free)
-    misfit, residual, weight, jacobian = _likelihood(problem, state, planes, moved=moved)
-    pull = _pulls(problem.prior, state)
+    misfit, residual, weight, jacobian = _compute_likelihood(problem, state, planes, moved=moved)
+    pull = _prior_residuals(problem.prior, state)
     return Evaluation(misfit + pull[0] ** 2 + pull[1] ** 2, residual, weight, jacobian, planes)
 
 
-def _likelihood(
+def _compute_likelihood(
     problem: DiscProblem, state: DiscState, planes: FloatArray, *, moved: tuple[int, ...], by_counts: bool = False
 ) -> Likelihood:
     psf, (x, y) = math.exp(state.nonlinear[PSF]), (state.nonlinear[:2] - problem.origin).tolist()
@@ -292,12 +292,12 @@ def _likelihood(
         problem.sensor.read_noise_e / gain,
         gain,
         problem.sensor.binning,
-        _clip(problem.sensor),
+        _clipping_counts(problem.sensor),
         by_counts,
     )
 
 
-def _clip(sensor: Sensor) -> float:
+def _clipping_counts(sensor: Sensor) -> float:
     """Return the counts above black at which the sensor's pixels are clipped; inf where those above are left out."""
     return float(sensor.full_scale - sensor.black_level) if sensor.binning > 1 else math.inf
 
@@ -305,7 +305,7 @@ def _clip(sensor: Sensor) -> float:
 def unevenness(problem: DiscProblem, state: DiscState, evaluation: Evaluation) -> float:
     """Return the decrease of chi² by a disc of linear and quadratic brightness."""
     moved = tuple(_MOVED[k] for k in problem.prior.free) + _UNEVEN
-    wider = evaluation._replace(jacobian=_likelihood(problem, state, evaluation.planes, moved=moved)[3])
+    wider = evaluation._replace(jacobian=_compute_likelihood(problem, state, evaluation.planes, moved=moved)[3])
     matrix, gradient = normal_equations(problem, state, wider)
     return float(gradient @ inverse(matrix) @ gradient)
 
@@ -315,14 +315,14 @@ def normal_equations(problem: DiscProblem, state: DiscState, evaluation: Evaluat
     matrix: FloatArray
     gradient: FloatArray
     matrix, gradient = normal_matrix(evaluation.jacobian, evaluation.weight, evaluation.residual)
-    pulls, sigmas = _pulls(problem.prior, state), (problem.prior.log_psf_sigma, problem.prior.wings_sigma)
+    pulls, sigmas = _prior_residuals(problem.prior, state), (problem.prior.log_psf_sigma, problem.prior.wings_sigma)
     for k in (PSF, WINGS)[: 1 + problem.prior.free_wings]:
         matrix[k, k] += sigmas[k - PSF] ** -2
         gradient[k] += pulls[k - PSF] / sigmas[k - PSF]
     return matrix, gradient
 
 
-def _pulls(prior: Prior, state: DiscState) -> tuple[float, float]:
+def _prior_residuals(prior: Prior, state: DiscState) -> tuple[float, float]:
     """Return the prior's residuals of ln psf and the wings' share, in its sigmas."""
     log_psf, share = state.nonlinear[PSF : WINGS + 1].tolist()
     return (prior.log_psf - log_psf) / prior.log_psf_sigma, -share / prior.wings_sigma

@@ -170,7 +170,11 @@ def clear_sun(*, apparent_zenith: FloatArray, level_per_us: FloatArray, day: Int
     air = relative_air_mass(apparent_zenith)
     bins = np.floor(np.log(air) * _BINS_PER_AIR_MASS).astype(np.int64)
     logs = np.log(level_per_us)
-    tops = [top for k in np.unique(bins) if (top := _top(air[bins == k], logs[bins == k], day[bins == k])) is not None]
+    tops = [
+        top
+        for k in np.unique(bins)
+        if (top := _clear_level_of_bin(air[bins == k], logs[bins == k], day[bins == k])) is not None
+    ]
     if not tops:
         return None
     masses, levels = np.array(tops).T
@@ -181,7 +185,7 @@ def clear_sun(*, apparent_zenith: FloatArray, level_per_us: FloatArray, day: Int
     return ClearSun(float(log_level), float(depth))
 
 
-def _top(air: FloatArray, logs: FloatArray, day: IntArray) -> tuple[float, float] | None:
+def _clear_level_of_bin(air: FloatArray, logs: FloatArray, day: IntArray) -> tuple[float, float] | None:
     """Return the mean air mass of a bin and the level that a clear sun has there."""
     above_air = logs + CLEAR_OPTICAL_DEPTH * air  # so that the top is not the highest sun's of the bin
     days = [np.quantile(above_air[day == k], _QUANTILE) for k in np.unique(day) if np.sum(day == k) >= _MIN_PER_BIN]

@@ -48,7 +48,7 @@ def cut(image: Image, *, center: tuple[float, float], half: int, sensor: Sensor,
     # A mean that only may hold clipped pixels still tells the disc's size; the model clips it as the sensor did.
     full = part >= saturation_fraction * sensor.full_scale if sensor.binning > 1 else saturated
     usable = ~_grow_mask(saturated) if sensor.blooming else ~full
-    colour, colours = _colours(part.shape, first=(x0, y0), bayer=sensor.bayer)
+    colour, colours = _make_colour_indices(part.shape, first=(x0, y0), bayer=sensor.bayer)
     smear = column_smear(image, x0=x0, x1=x1, y0=y0, y1=y1, mosaic=sensor.bayer is not None)
     counts = part.astype(np.float64) - sensor.black_level - smear
     return Window(counts, usable, usable & ~saturated, colour, colours, (x0, y0), int(np.count_nonzero(saturated)))
@@ -80,7 +80,9 @@ def _grow_mask(mask: BoolArray) -> BoolArray:
     return np.asarray(cv2.dilate(mask.astype(np.uint8), np.ones((3, 3), np.uint8))).astype(np.bool_)
 
 
-def _colours(shape: tuple[int, ...], *, first: tuple[int, int], bayer: Bayer | None) -> tuple[NDArray[np.intp], int]:
+def _make_colour_indices(
+    shape: tuple[int, ...], *, first: tuple[int, int], bayer: Bayer | None
+) -> tuple[NDArray[np.intp], int]:
     if bayer is None:
         return np.zeros(shape, dtype=np.intp), 1
     pattern = np.array([[_COLOURS[bayer[2 * j + i]] for i in range(2)] for j in range(2)])
@@ -112,7 +114,7 @@ def column_smear(image: Image, *, x0: int, x1: int, y0: int, y1: int, mosaic: bo
     """
     profiles = np.zeros((2, x1 - x0))
     for parity in range(2 if mosaic else 1):
-        rows = _rows_beyond(image.shape[0], parity, y0, y1)
+        rows = _select_rows_beyond(image.shape[0], parity, y0, y1)
         for step in (_STEP, _FINE_STEP):
             profile = column_excess(image[rows[:: step // _FINE_STEP], x0:x1])
             if not profile.any():
@@ -121,7 +123,7 @@ def column_smear(image: Image, *, x0: int, x1: int, y0: int, y1: int, mosaic: bo
     return profiles[np.arange(y0, y1) % 2 * mosaic]
 
 
-def _rows_beyond(height: int, parity: int, y0: int, y1: int) -> NDArray[np.intp]:
+def _select_rows_beyond(height: int, parity: int, y0: int, y1: int) -> NDArray[np.intp]:
     rows = np.arange(parity, height, _FINE_STEP)
     return rows[(rows < y0) | (rows >= y1)]
 

@@ -76,7 +76,7 @@ def whole_part(image: Image, *, static: BoolArray | None, bayer: Bayer | None) -
     plane = faintest_plane(image, bayer)
     rows, columns = plane.shape
     cell = 1 if plane.shape == image.shape[:2] else 2
-    return ImagePart(plane, _enlarged(static, (rows, columns)), 0, 0, (rows, columns), cell)
+    return ImagePart(plane, _resize_mask(static, (rows, columns)), 0, 0, (rows, columns), cell)
 
 
 def part_near(
@@ -104,10 +104,10 @@ def part_near(
     radius = _WINDOW_RADIUS * size
     half = reach + max(light_radius(radius), radius + (SURROUNDINGS + _BLUR) * size)
     half = max(rows, columns) + abs(x) + abs(y) if complete else half
-    left, right = _range(x, half, columns, step)
-    top, bottom = _range(y, half, rows, step)
+    left, right = _window_range(x, half, columns, step)
+    top, bottom = _window_range(y, half, rows, step)
     window = slice(cell * top, cell * bottom), slice(cell * left, cell * right)
-    shown = _enlarged(static, (rows, columns), (top, bottom, left, right))
+    shown = _resize_mask(static, (rows, columns), (top, bottom, left, right))
     near = Near(x - left, y - top, reach)
     return ImagePart(faintest_plane(image[window], bayer), shown, left, top, (rows, columns), cell, near)
 
@@ -117,13 +117,13 @@ def faintest_plane(image: Image, bayer: Bayer | None) -> Image:
     return faintest_colour(image) if bayer is None or image.ndim == 3 else cell_minimum(image)
 
 
-def _range(middle: float, half: float, size: int, step: int) -> tuple[int, int]:
+def _window_range(middle: float, half: float, size: int, step: int) -> tuple[int, int]:
     """Return first and end of a window along an axis; it has one step at least."""
     first = min(max(math.floor((middle - half) / step), 0), (size - 1) // step) * step
     return first, max(min(math.ceil(middle + half) + 1, size), min(first + step, size))
 
 
-def _enlarged(
+def _resize_mask(
     static: BoolArray | None, whole: tuple[int, int], window: tuple[int, int, int, int] | None = None
 ) -> BoolArray | None:
     """Return the mask of the static parts in the size of a plane, or of a window of it (top, bottom, left, right)."""
@@ -217,12 +217,12 @@ def candidates_in(
     part, full_scale : where, and the largest count.
     least_level, least_near : of full scale and of a plateau's level, as in `plateaus`; None is an ordinary exposure's.
     """
-    return _fit_rims(part, _plateaus(part, full_scale, least_level, least_near), full_scale)
+    return _fit_rims(part, _find_plateaus(part, full_scale, least_level, least_near), full_scale)
 
 
 def candidates_near(part: ImagePart, *, full_scale: int) -> list[Candidate] | None:
     """Return the candidates in the window about a predicted place; None where one may have more light beyond it."""
-    found = _plateaus(part, full_scale, MIN_LEVEL, None)
+    found = _find_plateaus(part, full_scale, MIN_LEVEL, None)
     if not all(part.has_room(each.x, each.y, each.radius) for each in found):
         return None
     seen = _fit_rims(part, found, full_scale)
@@ -235,8 +235,8 @@ def window_step(image: Image, bayer: Bayer | None) -> int:
     return math.lcm(plateau_step(size), _glare_step(size))
 
 
-def _plateaus(part: ImagePart, full_scale: int, least_level: float, least_near: float | None) -> list[Plateau]:
-    beside = _LEAST_NEAR ** (1.0 / _tones(full_scale)) if least_near is None else least_near
+def _find_plateaus(part: ImagePart, full_scale: int, least_level: float, least_near: float | None) -> list[Plateau]:
+    beside = _LEAST_NEAR ** (1.0 / _tone_exponent(full_scale)) if least_near is None else least_near
     found = plateaus(
         part.plane,
         least_level=least_level * full_scale,
@@ -249,21 +249,21 @@ def _plateaus(part: ImagePart, full_scale: int, least_level: float, least_near: 
 
 
 def _fit_rims(part: ImagePart, found: list[Plateau], full_scale: int) -> list[Candidate]:
-    size, tones = part.size, _tones(full_scale)
+    size, tones = part.size, _tone_exponent(full_scale)
     rims = [fit_rim(part.plane, each, static=part.static) for each in found]
     fitting = [rim for rim in rims if rim is not None and rim.radius <= _MAX_RADIUS_FRACTION * size]
     if not fitting:
         return []
-    shown = _reduced(part)
+    shown = _reduce_plane(part)
     as_light = _AS_LIGHT ** (1.0 / tones)
     return [
-        _in_the_image(
+        _convert_to_image_px(
             Candidate(
-                _in_tones(rim, tones),
+                _linearise_rim(rim, tones),
                 sigma_px(rim),
-                *_off_glare(shown, rim, size),
+                *_distance_from_glare(shown, rim, size),
                 size,
-                *_surroundings(shown, rim, as_light * rim.level, tones),
+                *_measure_surroundings(shown, rim, as_light * rim.level, tones),
             ),
             part,
         )
@@ -271,11 +271,11 @@ def _fit_rims(part: ImagePart, found: list[Plateau], full_scale: int) -> list[Ca
     ]
 
 
-def _tones(full_scale: int) -> float:
+def _tone_exponent(full_scale: int) -> float:
     return 1.0 if full_scale == _EIGHT_BITS else _LINEAR_TONES
 
 
-def _in_tones(rim: Rim, tones: float) -> Rim:
+def _linearise_rim(rim: Rim, tones: float) -> Rim:
     return rim._replace(near=max(rim.near, 0.0) ** tones, far=max(rim.far, 0.0) ** tones)
 
 
@@ -300,7 +300,7 @@ def _glare_step(size: int) -> int:
     return max(1, round(size / _GLARE_PX))
 
 
-def _reduced(part: ImagePart) -> tuple[FloatArray, float, float]:
+def _reduce_plane(part: ImagePart) -> tuple[FloatArray, float, float]:
     """Return a plane in some 240 px of the whole one, the px of the plane to one of its, and the blur there."""
     plane, static = part.plane, part.static
     shown = plane if static is None else np.where(static, np.zeros_like(plane), plane)
@@ -311,7 +311,7 @@ def _reduced(part: ImagePart) -> tuple[FloatArray, float, float]:
     return np.asarray(small, dtype=np.float64), float(step), blur
 
 
-def _off_glare(shown: tuple[FloatArray, float, float], rim: Rim, size: int) -> tuple[float, float]:
+def _distance_from_glare(shown: tuple[FloatArray, float, float], rim: Rim, size: int) -> tuple[float, float]:
     """Return how far a rim's centre is from the brightest place of the blurred plane and of its surroundings, px.
 
     What is brighter than the plateau (an overlay) counts as much as the plateau.
@@ -329,7 +329,7 @@ def _off_glare(shown: tuple[FloatArray, float, float], rim: Rim, size: int) -> t
     return distances[0], distances[1]
 
 
-def _surroundings(
+def _measure_surroundings(
     shown: tuple[FloatArray, float, float], rim: Rim, level: float, tones: float
 ) -> tuple[float, float, float]:
     """Return the `other_area` of a rim at or above a level, and its `sky` and `lighter`."""
@@ -345,7 +345,7 @@ def _surroundings(
     return area, sky, float(np.mean(lit > min(rim.near, rim.far)))
 
 
-def _in_the_image(seen: Candidate, part: ImagePart) -> Candidate:
+def _convert_to_image_px(seen: Candidate, part: ImagePart) -> Candidate:
     """Return a candidate of a part's plane in px of the image."""
     rim, cell = seen.rim, part.cell
     shift = (cell - 1) / 2.0

@@ -69,32 +69,32 @@ def choose_candidate(seen: list[candidates.Candidate], expectation: Expectation 
 
     Those within a prediction's reach come first, what stands out from the sky before what does not.
     """
-    judged = [Judged(each, *_verdict(each, expectation)) for each in seen]
+    judged = [Judged(each, *_judge_candidate(each, expectation)) for each in seen]
     order = {"reflection": 2, "hidden": 1}
     return max(judged, key=lambda each: (-order.get(each.verdict, 0), each.seen.score))
 
 
-def _verdict(seen: candidates.Candidate, expectation: Expectation | None) -> tuple[Verdict, Finding]:
+def _judge_candidate(seen: candidates.Candidate, expectation: Expectation | None) -> tuple[Verdict, Finding]:
     if expectation is None:
         return (
             edge(seen, has_aureole=lies_in_aureole(seen))
-            or _fault(seen)
-            or _unlike_a_sun(seen, _MIN_FLAT, seen.off_glare_px)
+            or _find_fault(seen)
+            or _find_cloud_signs(seen, _MIN_FLAT, seen.off_glare_px)
             or _doubt_cloud_region(seen)
-            or _clear(seen.rim)
+            or _make_clear_verdict(seen.rim)
         )
     distance = math.hypot(seen.rim.x - expectation.x_px, seen.rim.y - expectation.y_px)
     if distance > candidates.REACH_SIGMAS * math.hypot(expectation.uncertainty_px, seen.sigma_px) + candidates.REACH_PX:
         return "reflection", Finding("blob_displaced", {"distance_px": distance})
     return (
         edge(seen, has_aureole=_may_have_aureole(seen))
-        or _fault(seen)
-        or _unlike_a_sun(seen, _MIN_FLAT_PREDICTED, seen.off_local_glare_px)
-        or _clear(seen.rim)
+        or _find_fault(seen)
+        or _find_cloud_signs(seen, _MIN_FLAT_PREDICTED, seen.off_local_glare_px)
+        or _make_clear_verdict(seen.rim)
     )
 
 
-def _clear(rim: Rim) -> tuple[Verdict, Finding]:
+def _make_clear_verdict(rim: Rim) -> tuple[Verdict, Finding]:
     return "clear", Finding("blob_found", {"diameter_px": 2.0 * rim.radius, "share": rim.share})
 
 
@@ -121,7 +121,7 @@ def _may_have_aureole(seen: candidates.Candidate) -> bool:
     return seen.sky >= _DAY or (seen.rim.edged and seen.rim.radius >= _LEAST_IN_DARK * seen.size_px)
 
 
-def _fault(seen: candidates.Candidate) -> tuple[Verdict, Finding] | None:
+def _find_fault(seen: candidates.Candidate) -> tuple[Verdict, Finding] | None:
     """Return why a round region is of no use, wherever it is."""
     rim = seen.rim
     if rim.near > _MAX_NEAR or rim.far > _MAX_FAR:
@@ -135,7 +135,7 @@ def _fault(seen: candidates.Candidate) -> tuple[Verdict, Finding] | None:
     return None
 
 
-def _unlike_a_sun(seen: candidates.Candidate, min_flat: float, off_px: float) -> tuple[Verdict, Finding] | None:
+def _find_cloud_signs(seen: candidates.Candidate, min_flat: float, off_px: float) -> tuple[Verdict, Finding] | None:
     """Return why a round region may be a patch of bright cloud."""
     if seen.rim.flat < min_flat:
         return "veiled", Finding("blob_not_clipped", {"flat": seen.rim.flat})
@@ -210,12 +210,12 @@ def detect_sun_in_photo(
     zenith = None if expectation is None else expectation.apparent_zenith
     if zenith is not None and zenith > math.radians(_MAX_APPARENT_ZENITH_DEG):
         below = Finding("sun_below_horizon", {"zenith_deg": math.degrees(zenith)})
-        return _none("below_horizon", below, photo.exposure_us)
+        return _make_rejection("below_horizon", below, photo.exposure_us)
     shown, (left, top) = framed(photo)
     place = None if expectation is None else moved(expectation, -left, -top)
-    found = None if place is None else _near(shown, place, elsewhere=elsewhere)
-    found = _anywhere(shown, place) if found is None else found
-    found = found if robust or found.x_px is None else _papers(found, shown, zenith)
+    found = None if place is None else _detect_near_prediction(shown, place, elsewhere=elsewhere)
+    found = _detect_in_whole_image(shown, place) if found is None else found
+    found = found if robust or found.x_px is None else _locate_as_paper(found, shown, zenith)
     return moved(found, left, top)
 
 
@@ -245,7 +245,7 @@ def moved(place: _Place, columns: int, rows: int) -> _Place:
     return replace(place, x_px=place.x_px + columns, y_px=place.y_px + rows)
 
 
-def _near(photo: Photo, expectation: Expectation, *, elsewhere: bool) -> Detection | None:
+def _detect_near_prediction(photo: Photo, expectation: Expectation, *, elsewhere: bool) -> Detection | None:
     """Return the candidate at a predicted place; None without one, and the rest of the image has to be searched.
 
     Light is searched in a window about the place; in the whole image where a plateau is too wide for the window.
@@ -259,24 +259,24 @@ def _near(photo: Photo, expectation: Expectation, *, elsewhere: bool) -> Detecti
         seen = candidates.candidates_near(part, full_scale=full_scale)
     best = choose_candidate(seen, expectation) if seen else None
     if best is not None and not (elsewhere and best.verdict == "reflection"):
-        return _detection(best, part, photo)
-    return None if elsewhere else _nothing(part, full_scale, exposure_us)
+        return _make_detection(best, part, photo)
+    return None if elsewhere else _make_empty_detection(part, full_scale, exposure_us)
 
 
-def _anywhere(photo: Photo, expectation: Expectation | None) -> Detection:
+def _detect_in_whole_image(photo: Photo, expectation: Expectation | None) -> Detection:
     part = candidates.whole_part(photo.image, static=photo.static, bayer=photo.bayer)
     seen = candidates.candidates_in(part, full_scale=photo.full_scale)
     if seen:
-        return _detection(choose_candidate(seen, expectation), part, photo)
-    return _nothing(part, photo.full_scale, photo.exposure_us)
+        return _make_detection(choose_candidate(seen, expectation), part, photo)
+    return _make_empty_detection(part, photo.full_scale, photo.exposure_us)
 
 
-def _nothing(part: candidates.ImagePart, full_scale: int, exposure_us: float | None) -> Detection:
+def _make_empty_detection(part: candidates.ImagePart, full_scale: int, exposure_us: float | None) -> Detection:
     peak = float(part.plane.max(initial=0)) / full_scale
-    return _none(*_why_none(part.plane, peak, full_scale), exposure_us, peak)
+    return _make_rejection(*_explain_missing_sun(part.plane, peak, full_scale), exposure_us, peak)
 
 
-def _why_none(plane: Image, peak: float, full_scale: int) -> tuple[Verdict, Finding]:
+def _explain_missing_sun(plane: Image, peak: float, full_scale: int) -> tuple[Verdict, Finding]:
     if peak < candidates.MIN_LEVEL:
         return "hidden", Finding("image_dark", {"peak": peak})
     level = float(np.median(plane[::8, ::8])) / full_scale
@@ -285,7 +285,9 @@ def _why_none(plane: Image, peak: float, full_scale: int) -> tuple[Verdict, Find
     return "hidden", Finding("no_round_region")
 
 
-def _none(verdict: Verdict, finding: Finding, exposure_us: float | None, peak: float | None = None) -> Detection:
+def _make_rejection(
+    verdict: Verdict, finding: Finding, exposure_us: float | None, peak: float | None = None
+) -> Detection:
     return Detection(
         method="paper",
         accepted=False,
@@ -296,7 +298,7 @@ def _none(verdict: Verdict, finding: Finding, exposure_us: float | None, peak: f
     )
 
 
-def _detection(best: Judged, part: candidates.ImagePart, photo: Photo) -> Detection:
+def _make_detection(best: Judged, part: candidates.ImagePart, photo: Photo) -> Detection:
     rim, full_scale = best.seen.rim, photo.full_scale
     return Detection(
         method="paper",
@@ -307,7 +309,7 @@ def _detection(best: Judged, part: candidates.ImagePart, photo: Photo) -> Detect
         y_px=rim.y,
         sigma_px=best.seen.sigma_px,
         peak_fraction=rim.level / full_scale,
-        background_fraction=float(np.median(_sparse(photo, part))) / full_scale,
+        background_fraction=float(np.median(_sample_plane(photo, part))) / full_scale,
         radius_px=rim.radius,
         ellipticity=rim.ellipticity,
         saturated_px=int(np.count_nonzero(part.plane >= _SATURATED * full_scale)),
@@ -316,7 +318,7 @@ def _detection(best: Judged, part: candidates.ImagePart, photo: Photo) -> Detect
     )
 
 
-def _sparse(photo: Photo, part: candidates.ImagePart) -> Image:
+def _sample_plane(photo: Photo, part: candidates.ImagePart) -> Image:
     """Return every 16th row and column of the whole plane."""
     if part.cell == 1:
         return candidates.faintest_plane(photo.image[::_SPARSE, ::_SPARSE], None)
@@ -324,7 +326,7 @@ def _sparse(photo: Photo, part: candidates.ImagePart) -> Image:
     return whole.plane[::_SPARSE, ::_SPARSE]
 
 
-def _papers(found: Detection, photo: Photo, zenith: float | None) -> Detection:
+def _locate_as_paper(found: Detection, photo: Photo, zenith: float | None) -> Detection:
     """Return a detection with the position of the paper's estimators in place of the rim's."""
     estimates = locate(split_planes(photo.image, full_scale=photo.full_scale), apparent_zenith=zenith)
     if estimates is None:

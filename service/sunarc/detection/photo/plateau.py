@@ -150,23 +150,23 @@ def plateaus(
         levels are those of places within its reach. None for all plateaus.
     """
     step = plateau_step(min(plane.shape) if size is None else size)
-    small = _reduced(plane, step, static)
+    small = _average_blocks(plane, step, static)
     found, taken = list[Plateau](), np.zeros(small.shape, np.uint8)
     highest = cv2.erode(small, np.ones((3, 3), np.uint8))
-    top, searched = float(highest.max(initial=0.0)), highest[_zone(near, step)]
+    top, searched = float(highest.max(initial=0.0)), highest[_reachable_zone(near, step)]
     for _ in range(_LEVELS):
         level = float(searched.max(initial=0.0))
         if level < max(least_level, _LOWEST * top, 1.0):
             break
-        region = _without(_filled((small >= _LEVEL * level).astype(np.uint8)), taken)
+        region = _remove_overlapping_regions(_fill_small_holes((small >= _LEVEL * level).astype(np.uint8)), taken)
         circles = [Plateau(*each, level) for each in thickest(region, most=_TRIED, least_radius=_LEAST_RADIUS_PX)]
-        found += _in_their_light(small, _within(circles, near, step), least_near * level, step)
+        found += _sort_by_surrounding_light(small, _select_within_reach(circles, near, step), least_near * level, step)
         taken |= (small >= _LEVEL * level).astype(np.uint8) | region
         highest[cv2.dilate(taken, np.ones((_APART_PX, _APART_PX), np.uint8)) > 0] = 0.0
     return found
 
 
-def _reduced(plane: Image, step: int, static: BoolArray | None) -> Plane:
+def _average_blocks(plane: Image, step: int, static: BoolArray | None) -> Plane:
     """Return means of step × step pixels."""
     shown: Image = plane if static is None else np.where(static, 0, plane).astype(plane.dtype)  # type: ignore[assignment]
     rows, columns = (size // step for size in plane.shape)
@@ -174,7 +174,7 @@ def _reduced(plane: Image, step: int, static: BoolArray | None) -> Plane:
     return np.asarray(cv2.resize(part, (columns, rows), interpolation=cv2.INTER_AREA), dtype=np.float32)
 
 
-def _zone(near: Near | None, step: int) -> tuple[slice, slice]:
+def _reachable_zone(near: Near | None, step: int) -> tuple[slice, slice]:
     """Return where in the reduced plane the levels are sought: within reach of a predicted place."""
     if near is None:
         return slice(None), slice(None)
@@ -185,7 +185,7 @@ def _zone(near: Near | None, step: int) -> tuple[slice, slice]:
     )
 
 
-def _within(circles: list[Plateau], near: Near | None, step: int) -> list[Plateau]:
+def _select_within_reach(circles: list[Plateau], near: Near | None, step: int) -> list[Plateau]:
     if near is None:
         return circles
     shift, reach = (step - 1) / 2.0, near.reach / step
@@ -193,11 +193,11 @@ def _within(circles: list[Plateau], near: Near | None, step: int) -> list[Platea
     return [circle for circle in circles if math.hypot(circle.x - x, circle.y - y) <= circle.radius + reach]
 
 
-def _in_their_light(small: Plane, circles: list[Plateau], least: float, step: int) -> list[Plateau]:
+def _sort_by_surrounding_light(small: Plane, circles: list[Plateau], least: float, step: int) -> list[Plateau]:
     """Return the circles with light around them in px of the image, the largest with light all around first."""
     lit = []
     for circle in circles:
-        light = _light_near(small, circle)
+        light = _sample_light_about(small, circle)
         if float(np.median(light)) >= least:
             lit.append((-circle.radius * float(np.quantile(light, 0.25)), circle))
     shift = (step - 1) / 2.0
@@ -207,7 +207,7 @@ def _in_their_light(small: Plane, circles: list[Plateau], least: float, step: in
     ]
 
 
-def _light_near(small: Plane, circle: Plateau) -> Plane:
+def _sample_light_about(small: Plane, circle: Plateau) -> Plane:
     """Return the light at 1.7 radii (and 1.5 px) of a circle in all directions, 0 beyond the image."""
     far = _NEAR * circle.radius + _NEAR_PX
     columns = np.rint(circle.x + far * _COSINE).astype(np.intp)
@@ -216,9 +216,9 @@ def _light_near(small: Plane, circle: Plateau) -> Plane:
     return np.where(inside, small[np.where(inside, rows, 0), np.where(inside, columns, 0)], np.float32(0.0))
 
 
-def _filled(region: Mask) -> Mask:
+def _fill_small_holes(region: Mask) -> Mask:
     """Return a mask with its small holes filled."""
-    box = _box(region)
+    box = _bounding_box(region)
     part = region[box]
     count, labels, stats, _ = cv2.connectedComponentsWithStats(np.pad(1 - part, 1, constant_values=1), connectivity=4)
     if count <= 2:
@@ -230,9 +230,9 @@ def _filled(region: Mask) -> Mask:
     return filled
 
 
-def _without(region: Mask, taken: Mask) -> Mask:
+def _remove_overlapping_regions(region: Mask, taken: Mask) -> Mask:
     """Return a mask without the connected regions that hold some of another: they are the glare of a higher plateau."""
-    box = _box(region)
+    box = _bounding_box(region)
     count, labels = cv2.connectedComponents(region[box], connectivity=8)
     keep = np.ones(count, np.uint8)
     keep[0] = 0
@@ -242,7 +242,7 @@ def _without(region: Mask, taken: Mask) -> Mask:
     return kept
 
 
-def _box(region: Mask) -> tuple[slice, slice]:
+def _bounding_box(region: Mask) -> tuple[slice, slice]:
     """Return the rows and columns in which a mask has something."""
     left, top, width, height = cv2.boundingRect(region)
     return slice(top, top + max(height, 1)), slice(left, left + max(width, 1))
@@ -273,10 +273,10 @@ def circle_box(image: Image) -> tuple[slice, slice] | None:
     step = max(1, size // _SAMPLED)
     if _reaches_border(image, step):
         return None
-    light = cv2.medianBlur(_brightest_colour(image[::step, ::step]), 3)
+    light = cv2.medianBlur(_maximum_over_colours(image[::step, ::step]), 3)
     dark = float(np.partition(light.ravel(), round(_SURROUND * light.size))[round(_SURROUND * light.size)])
     masks = [(light > dark + share * (float(light.max()) - dark)).astype(np.uint8) for share in _LIT]
-    narrow, wide = (_largest(opened(mask, 3)) for mask in masks)
+    narrow, wide = (_measure_largest_region(opened(mask, 3)) for mask in masks)
     left, top, width, height, area = narrow
     is_disc = abs(width - height) <= _AS_ROUND * width and area >= _FULL * math.pi / 4.0 * width * height
     if (
@@ -290,7 +290,7 @@ def circle_box(image: Image) -> tuple[slice, slice] | None:
     return tuple(slice(max(first, 0) * step // 2 * 2, last * step) for first, last in (rows, columns))  # type: ignore[return-value]
 
 
-def _brightest_colour(image: Image) -> Image:
+def _maximum_over_colours(image: Image) -> Image:
     brightest: Image = image if image.ndim == 2 else image[..., 0].copy()
     for colour in range(1, 1 if image.ndim == 2 else 3):
         np.maximum(brightest, image[..., colour], out=brightest)
@@ -306,7 +306,7 @@ def _reaches_border(image: Image, step: int) -> bool:
     return sum(float(np.median(side)) > least for side in sides) > 1
 
 
-def _largest(mask: Mask) -> tuple[int, int, int, int, int]:
+def _measure_largest_region(mask: Mask) -> tuple[int, int, int, int, int]:
     """Return left, top, width, height and area of the largest connected region of a mask; 0 without one."""
     found = cv2.connectedComponentsWithStats(mask, connectivity=8)[2][1:]
     return tuple(found[int(np.argmax(found[:, -1]))].tolist()) if len(found) else (0, 0, 0, 0, 0)

@@ -97,7 +97,8 @@ class Rim(NamedTuple):
     ellipticity : 1 - minor/major axis. level : of the plateau, counts. flat : share of the light within the rim that is
     level to within JPEG's noise: 1 where the sun is clipped. near, far : light at 1.7 and 2.6 radii over the level,
     medians over the rays. uneven : width of the middle 70 % of the light at 1.7 radii over its fall from the plateau.
-    pull : see `_pull`, px; 0 of a rim with an edge. lopsided : see `_lopsidedness`. circles : how many levels have one.
+    pull : see `_displacement_by_gradient`, px; 0 of a rim with an edge. lopsided : see `_measure_lopsidedness`.
+    circles : how many levels have one.
     edged : whether the light falls to half within twice the radius: in a short exposure, or no sun.
     """
 
@@ -143,37 +144,39 @@ def fit_rim(plane: Image, plateau: Plateau, *, static: BoolArray | None = None) 
     """
     x, y, radius = plateau.x, plateau.y, plateau.radius
     for _ in range(2):
-        rays = _rays(plane, plateau._replace(x=x, y=y, radius=radius), static)
-        beside = _light_at(rays, max(_SHARP * radius, radius + _SHARP_PX))
+        rays = _sample_rays(plane, plateau._replace(x=x, y=y, radius=radius), static)
+        beside = _median_light_at(rays, max(_SHARP * radius, radius + _SHARP_PX))
         edged = beside < _SHARP_LIGHT
         if edged:
-            settled = _middle_level(rays, radius, plateau.level)
+            settled = _measure_clipped_level(rays, radius, plateau.level)
             plateau, rays = plateau._replace(level=settled * plateau.level), rays._replace(light=rays.light / settled)
         levels = [beside + (1.0 - beside) * share for share in _SHARP_LEVELS] if edged else _LEVELS
-        crossing = [_crossings(rays, level, radius) for level in levels]
-        circles = [c for r in crossing if (c := _circle(r, x, y, edged)) is not None and c.share >= _LEAST_SHARE]
+        crossing = [_find_crossings(rays, level, radius) for level in levels]
+        circles = [
+            c for r in crossing if (c := _fit_circle_to_rim(r, x, y, edged)) is not None and c.share >= _LEAST_SHARE
+        ]
         if not circles:
             return None
         x, y, fitted = (float(np.median([c[k] for c in circles])) for k in range(3))
         if math.hypot(x - plateau.x, y - plateau.y) > plateau.radius:
             return None
         radius = min(fitted, 2.0 * plateau.radius)
-    found = _summary(plateau, rays, crossing, circles, (x, y, fitted))._replace(edged=edged)
-    return found if edged else _without_pull(found, _pull(rays, crossing, fitted))
+    found = _make_rim(plateau, rays, crossing, circles, (x, y, fitted))._replace(edged=edged)
+    return found if edged else _correct_for_gradient(found, _displacement_by_gradient(rays, crossing, fitted))
 
 
-def _without_pull(found: Rim, pull: tuple[float, float]) -> Rim:
+def _correct_for_gradient(found: Rim, pull: tuple[float, float]) -> Rim:
     """Return a rim at the place that it has without a gradient of the light."""
     x, y = found.x - _PULLED * pull[0], found.y - _PULLED * pull[1]
     return found._replace(x=x, y=y, pull=math.hypot(*pull))
 
 
-def _summary(
+def _make_rim(
     plateau: Plateau, rays: _Rays, crossing: list[FloatArray], circles: list[Circle], center: tuple[float, float, float]
 ) -> Rim:
     x, y, radius = center
     squares = [(c.x - x) ** 2 + (c.y - y) ** 2 for c in circles]
-    near, far = (_light_at(rays, ratio * radius) for ratio in _AT)
+    near, far = (_median_light_at(rays, ratio * radius) for ratio in _AT)
     return Rim(
         x,
         y,
@@ -182,19 +185,19 @@ def _summary(
         share=float(np.median([c.share for c in circles])),
         spread=math.sqrt(float(np.mean(squares))),
         offset=math.hypot(x - plateau.x, y - plateau.y),
-        ellipticity=_ellipticity(crossing[0], radius),
+        ellipticity=_measure_ellipticity(crossing[0], radius),
         level=plateau.level,
-        flat=_flatness(rays, radius, plateau.level),
+        flat=_measure_flatness(rays, radius, plateau.level),
         near=near,
         far=far,
-        uneven=_unevenness(rays, _AT[0] * radius),
+        uneven=_measure_unevenness(rays, _AT[0] * radius),
         pull=0.0,
-        lopsided=_lopsidedness(rays, _BESIDE * radius),
+        lopsided=_measure_lopsidedness(rays, _BESIDE * radius),
         circles=len(circles),
     )
 
 
-def _rays(plane: Image, plateau: Plateau, static: BoolArray | None) -> _Rays:
+def _sample_rays(plane: Image, plateau: Plateau, static: BoolArray | None) -> _Rays:
     """Sample the light along rays from half a radius outwards."""
     x, y, radius, level = plateau
     reach = _REACH * radius + _REACH_PX
@@ -214,7 +217,7 @@ def _rays(plane: Image, plateau: Plateau, static: BoolArray | None) -> _Rays:
     return _Rays(np.where(inside, np.asarray(light, dtype=np.float64), np.nan), radii)
 
 
-def _around(rays: _Rays, radius: float) -> FloatArray:
+def _sample_ring(rays: _Rays, radius: float) -> FloatArray:
     """Return the light at a radius, (rays,); NaN beyond the rim of the field, where it is far darker than elsewhere."""
     ring = rays.light[:, min(int(np.searchsorted(rays.radii, radius)), rays.radii.size - 1)]
     known = ring[np.isfinite(ring)]
@@ -222,33 +225,33 @@ def _around(rays: _Rays, radius: float) -> FloatArray:
     return np.where(ring < min(_DARK, _FAR_DARKER * middle), np.nan, ring)
 
 
-def _ring(rays: _Rays, radius: float) -> FloatArray:
+def _known_ring_light(rays: _Rays, radius: float) -> FloatArray:
     """Return the light at a radius on the rays on which it is known."""
-    column = _around(rays, radius)
+    column = _sample_ring(rays, radius)
     return np.asarray(column[np.isfinite(column)])
 
 
-def _light_at(rays: _Rays, radius: float) -> float:
+def _median_light_at(rays: _Rays, radius: float) -> float:
     """Return the median light at a radius, 0 where nothing is known there."""
-    ring = _ring(rays, radius)
+    ring = _known_ring_light(rays, radius)
     return float(np.median(ring)) if ring.size else 0.0
 
 
-def _unevenness(rays: _Rays, radius: float) -> float:
+def _measure_unevenness(rays: _Rays, radius: float) -> float:
     """Return the width of the middle 70 % of the light at a radius over its fall from the plateau."""
-    ring = _ring(rays, radius)
+    ring = _known_ring_light(rays, radius)
     if ring.size < _LEAST_POINTS:
         return 1.0
     low, middle, high = np.quantile(ring, (0.15, 0.5, 0.85))
     return float((high - low) / max(1.0 - middle, _LEAST_FALL))
 
 
-def _lopsidedness(rays: _Rays, radius: float) -> float:
+def _measure_lopsidedness(rays: _Rays, radius: float) -> float:
     """Return the amplitude of the light once and three times around, at a radius, over its fall from the plateau.
 
     A lens draws glare out, twice around; the edge of a cloud has the other parts.
     """
-    ring = _around(rays, radius)
+    ring = _sample_ring(rays, radius)
     known = np.isfinite(ring)
     if np.count_nonzero(known) < _LEAST_POINTS:
         return 1.0
@@ -256,7 +259,7 @@ def _lopsidedness(rays: _Rays, radius: float) -> float:
     return float(math.hypot(*parts[:2], *parts[4:]) / max(1.0 - middle, _LEAST_FALL))
 
 
-def _pull(rays: _Rays, crossing: list[FloatArray], radius: float) -> tuple[float, float]:
+def _displacement_by_gradient(rays: _Rays, crossing: list[FloatArray], radius: float) -> tuple[float, float]:
     """Return by how much light that rises across the glare moves a level's circle, (x, y) px: to the lighter side.
 
     A gradient g moves the circle of radius R by g R / s, s being the fall of the glare there: from the first to the
@@ -264,7 +267,7 @@ def _pull(rays: _Rays, crossing: list[FloatArray], radius: float) -> tuple[float
     k R over s. Light that varies in other ways, too, is the glare's own, and moves its levels far less.
     """
     near, far = _AT[0] * radius, _AT[1] * radius
-    ring = _around(rays, near)
+    ring = _sample_ring(rays, near)
     known = np.isfinite(ring)
     apart = crossing[-1] - crossing[0]
     apart = apart[np.isfinite(apart)]
@@ -275,12 +278,12 @@ def _pull(rays: _Rays, crossing: list[FloatArray], radius: float) -> tuple[float
     once = np.linalg.lstsq(design, ring[known])[0]
     left = float(np.var(ring[known] - design @ once) / max(float(np.var(ring[known])), np.finfo(np.float64).tiny))
     even = float(np.interp(1.0 - left, _GRADIENT, (0.0, 1.0)))
-    beyond = max(_light_at(rays, near) - _light_at(rays, far), 0.0) / (far - near)
+    beyond = max(_median_light_at(rays, near) - _median_light_at(rays, far), 0.0) / (far - near)
     x, y = (even * once[1:] / (fall * (_AT[0] - min(beyond / fall, 1.0)))).tolist()
     return x, y
 
 
-def _middle_level(rays: _Rays, radius: float, level: float) -> float:
+def _measure_clipped_level(rays: _Rays, radius: float, level: float) -> float:
     """Return a clipped plateau's level over the one it was found by, which may be ringing; 1 where not clipped."""
     within = rays.light[:, rays.radii <= _WITHIN * radius]
     known = within[np.isfinite(within)]
@@ -291,36 +294,38 @@ def _middle_level(rays: _Rays, radius: float, level: float) -> float:
     return middle if is_clipped else 1.0
 
 
-def _flatness(rays: _Rays, radius: float, level: float) -> float:
+def _measure_flatness(rays: _Rays, radius: float, level: float) -> float:
     within = rays.light[:, rays.radii <= _WITHIN * radius]
     known = within[np.isfinite(within)]
     return float(np.mean(np.abs(known - 1.0) <= max(_FLAT, _FLAT_COUNTS / level))) if known.size else 0.0
 
 
-def _crossings(rays: _Rays, level: float, radius: float) -> FloatArray:
+def _find_crossings(rays: _Rays, level: float, radius: float) -> FloatArray:
     """Return the radius on each ray, (rays,), from which the light stays below a level; NaN where it does not fall."""
     step = rays.radii[1] - rays.radii[0]
     lasting = max(_LASTING_STEPS, round(_LASTING * radius / step))
     return _kernels.crossings(rays.light, level, lasting, rays.radii)
 
 
-def _circle(crossing: FloatArray, x: float, y: float, edged: bool) -> Circle | None:  # noqa: FBT001 - of the rim
+def _fit_circle_to_rim(crossing: FloatArray, x: float, y: float, edged: bool) -> Circle | None:  # noqa: FBT001 - of the rim
     """Fit a circle to the rim of rays about (x, y); one that is drawn out to a rim with an edge."""
     known = np.isfinite(crossing)
     if np.count_nonzero(known) < _LEAST_POINTS:
         return None
     points = np.column_stack([x + (crossing * _COSINE)[known], y + (crossing * _SINE)[known]])
-    start, scale = _consensus(points)
+    start, scale = _find_consensus_circle(points)
     if not edged:
-        return _fitted(points, start, scale, _ROUND)
+        return _fit_circle_harmonics(points, start, scale, _ROUND)
     middle = np.median(points, axis=0)
     whole = np.array([*middle, np.median(np.hypot(*(points - middle).T))])
     starts = ((start, scale), (whole, _WHOLE_SCALE * float(whole[2])))
-    fitted = [one for first, width in starts if (one := _fitted(points, first, width, _DRAWN_OUT)) is not None]
+    fitted = [
+        one for first, width in starts if (one := _fit_circle_harmonics(points, first, width, _DRAWN_OUT)) is not None
+    ]
     return max(fitted, key=lambda one: one.share, default=None)
 
 
-def _fitted(points: FloatArray, start: FloatArray, scale: float, drawn_out: float) -> Circle | None:
+def _fit_circle_harmonics(points: FloatArray, start: FloatArray, scale: float, drawn_out: float) -> Circle | None:
     """Fit a circle whose radius varies with twice the angle, from a circle; None where the points follow none."""
     found = _kernels.fitted_rim(points, start, scale, drawn_out, _LEAST_POINTS // 2, _LEAST_SCALE_PX, _LEAST_SCALE)
     if found is None:
@@ -331,14 +336,14 @@ def _fitted(points: FloatArray, start: FloatArray, scale: float, drawn_out: floa
     return Circle(x, y, radius, scale, float(np.count_nonzero(followed)) / RAYS)
 
 
-def _consensus(points: FloatArray) -> tuple[FloatArray, float]:
+def _find_consensus_circle(points: FloatArray) -> tuple[FloatArray, float]:
     """Return the circle through three of the points that most of them follow (x, y, radius), and its scale."""
     circles = circles_through(points)
     scale = _FIRST_SCALE * float(np.nanmedian(circles[:, 2])) + _LEAST_SCALE_PX
     return circles[_kernels.most_followed(points, circles, scale)], scale
 
 
-def _ellipticity(crossing: FloatArray, radius: float) -> float:
+def _measure_ellipticity(crossing: FloatArray, radius: float) -> float:
     """Return 1 - minor/major axis of the rim, from the second harmonic of its radius."""
     known = np.isfinite(crossing) & (np.abs(crossing - radius) < 0.5 * radius)
     if np.count_nonzero(known) < _LEAST_POINTS:

@@ -109,14 +109,14 @@ def forstner(value: Plane, *, sigma: float, within: tuple[slice, slice] | None =
             for product in products
         )
     else:
-        down, across = (_blur(n, part, size, sigma) for n, part in zip(value.shape, within, strict=True))
+        down, across = (_blur_matrix(n, part, size, sigma) for n, part in zip(value.shape, within, strict=True))
         xx, xy, yy = (down @ np.asarray(product) @ across.T for product in products)
     minor = 0.5 * (xx + yy) - np.hypot(0.5 * (xx - yy), xy)
     x, y = find_peak(np.asarray(minor, dtype=np.float32))
     return (x, y) if within is None else (x + within[1].start, y + within[0].start)
 
 
-def _blur(length: int, part: slice, size: int, sigma: float) -> Plane:
+def _blur_matrix(length: int, part: slice, size: int, sigma: float) -> Plane:
     """Return the matrix (places, length) that blurs a row of this length, and keeps some places only."""
     kernel = np.asarray(cv2.getGaussianKernel(size, sigma, cv2.CV_32F)).ravel()
     tap = np.arange(length) - np.arange(part.start, part.stop)[:, None] + size // 2
@@ -219,7 +219,7 @@ def locate(planes: Planes, *, apparent_zenith: float | None, full_image: bool = 
     blob = sun_blob(planes.counts)
     if blob is None:
         return None
-    sigma = gaussian_sigma_px(apparent_zenith) if apparent_zenith is not None else _blob_sigma(blob)
+    sigma = gaussian_sigma_px(apparent_zenith) if apparent_zenith is not None else _ring_filter_sigma(blob)
     cut_out = kernels(diameter=blob.diameter, sigma=sigma)
     rows, columns = (_ALL, _ALL) if full_image else surroundings(planes, blob, cut_out[0].shape[0] // 2)
     part = planes.value(rows, columns)
@@ -249,7 +249,7 @@ def centre_window(shape: tuple[int, ...], blob: Blob, *, first: tuple[int, int])
     )
 
 
-def _blob_sigma(blob: Blob) -> float:
+def _ring_filter_sigma(blob: Blob) -> float:
     """Return a width at which Förstner's maximum is the centre of a ring of the blob's size (it must exceed Ø/4)."""
     return max(0.5 * blob.diameter, 1.0)
 

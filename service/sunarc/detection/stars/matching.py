@@ -63,7 +63,7 @@ class StarMatches:
     floor_px: float = 0.0
 
 
-class _Pairs(NamedTuple):
+class _StarPairs(NamedTuple):
     """Rows of predicted and of detected stars, and the difference of their pixels, (m, 2)."""
 
     star: IntArray
@@ -97,50 +97,54 @@ def match_stars(
 def _match_visible(stars: Stars, predicted: PredictedStars, trail_px: float, limits: Sequence[float]) -> StarMatches:
     radius = _SIGMAS * np.hypot(predicted.sigma_px, _SEEING_PX) + trail_px
     if len(stars) < _FEWEST:
-        return _refuse(_few(0, stars))
-    limit = next((one for one in limits if _chance(predicted, radius, one) <= _MOST_CHANCE), None)
+        return _refuse(_too_few_finding(0, stars))
+    limit = next((one for one in limits if _chance_share(predicted, radius, one) <= _MOST_CHANCE), None)
     if limit is None:
         return _refuse(Finding("stars_prediction_uncertain", {"sigma_px": float(np.median(predicted.sigma_px))}))
     bright = predicted.magnitude <= limit
-    considered = stars.select(np.arange(min(len(stars), _considered(int(bright.sum())))))
-    pairs = _pairs(considered, predicted, predicted.pixels, radius, bright)
+    considered = stars.select(np.arange(min(len(stars), _count_considered(int(bright.sum())))))
+    pairs = _pair_stars(considered, predicted, predicted.pixels, radius, bright)
     if pairs.star.size < _FEWEST:
-        return _refuse(_few(pairs.star.size, stars))
-    zero = _zero_point(considered, predicted, pairs)
-    pairs = _like_in_brightness(considered, predicted, pairs, zero)
-    explained = _explained(considered, predicted, radius, zero, limit)
-    found = _found(considered, predicted, radius, zero, limit)
+        return _refuse(_too_few_finding(pairs.star.size, stars))
+    zero = _fit_zero_point(considered, predicted, pairs)
+    pairs = _select_like_brightness(considered, predicted, pairs, zero)
+    explained = _share_of_detections_explained(considered, predicted, radius, zero, limit)
+    found = _share_of_stars_found(considered, predicted, radius, zero, limit)
     if pairs.star.size < _FEWEST:
-        return _refuse(_few(pairs.star.size, stars), *_shares(explained, found), explained=explained, found=found)
-    correction, scatter = _smooth(predicted.pixels[pairs.star], pairs.difference)
+        return _refuse(
+            _too_few_finding(pairs.star.size, stars), *_check_shares(explained, found), explained=explained, found=found
+        )
+    correction, scatter = _fit_correction(predicted.pixels[pairs.star], pairs.difference)
     findings = (
-        *_shares(explained, found),
+        *_check_shares(explained, found),
         *_check_spread(predicted, pairs),
-        *_coherent(considered, predicted, pairs, scatter, radius),
+        *_check_coherence(considered, predicted, pairs, scatter, radius),
     )
     if findings:
         return _refuse(*findings, explained=explained, found=found, scatter_px=scatter)
     corrected = replace(predicted, pixels=predicted.pixels + correction.at(predicted.pixels))
-    return _corrected(stars, corrected, zero, scatter, limits[0])
+    return _match_with_correction(stars, corrected, zero, scatter, limits[0])
 
 
-def _corrected(stars: Stars, predicted: PredictedStars, zero: FloatArray, scatter: float, limit: float) -> StarMatches:
+def _match_with_correction(
+    stars: Stars, predicted: PredictedStars, zero: FloatArray, scatter: float, limit: float
+) -> StarMatches:
     """Return the matches of all stars about the corrected prediction, if that explains the sky as well."""
     near = np.full(len(predicted), 4.0 * max(scatter, _LEAST_SCATTER_PX))
     wide = near + _CLIPPED_PX
-    chance = _chance(predicted, wide, limit)
-    explained = _explained(stars, predicted, wide, zero, limit)
-    found = _found(stars, predicted, wide, zero, limit)
+    chance = _chance_share(predicted, wide, limit)
+    explained = _share_of_detections_explained(stars, predicted, wide, zero, limit)
+    found = _share_of_stars_found(stars, predicted, wide, zero, limit)
     measured = {"explained": explained, "found": found, "scatter_px": scatter}
-    findings = _shares(explained, found)
+    findings = _check_shares(explained, found)
     if chance > _MOST_CHANCE or scatter > _MOST_SCATTER_PX:
         findings.append(Finding("stars_scattered", {"scatter_px": scatter, "radius_px": float(wide[0])}))
     if findings:
         return _refuse(*findings, **measured)
-    pairs = _pairs(stars, predicted, predicted.pixels, near, np.ones(len(predicted), dtype=bool))
-    pairs = _like_in_brightness(stars, predicted, pairs, zero)
+    pairs = _pair_stars(stars, predicted, predicted.pixels, near, np.ones(len(predicted), dtype=bool))
+    pairs = _select_like_brightness(stars, predicted, pairs, zero)
     if pairs.star.size < _FEWEST:
-        return _refuse(_few(pairs.star.size, stars), **measured)
+        return _refuse(_too_few_finding(pairs.star.size, stars), **measured)
     matched = Finding("stars_matched", {"n": int(pairs.star.size), "explained": explained, "found": found})
     sound = stars.sound[pairs.detection]
     places, sigma = predicted.pixels[pairs.star[sound]], stars.sigma_px[pairs.detection[sound]]
@@ -172,38 +176,38 @@ def noise_floor(places: FloatArray, difference: FloatArray, sigma_px: FloatArray
     apart = np.abs(difference - difference[beside])
     variance = (sigma_px**2 + sigma_px[beside] ** 2)[:, None]
 
-    def enough(floor: float) -> bool:
+    def has_enough_within(floor: float) -> bool:
         return bool(np.mean(apart <= _TWO_SIGMAS * np.sqrt(variance + 2.0 * floor**2)) >= _WITHIN)
 
     least, most = 0.0, _MOST_SCATTER_PX
-    if enough(least):
+    if has_enough_within(least):
         return least
     for _ in range(_HALVINGS):
         middle = 0.5 * (least + most)
-        least, most = (least, middle) if enough(middle) else (middle, most)
+        least, most = (least, middle) if has_enough_within(middle) else (middle, most)
     return most
 
 
-def _considered(n_bright: int) -> int:
+def _count_considered(n_bright: int) -> int:
     """Return how many of the brightest detections are considered for so many predicted stars."""
     return 2 * n_bright + 20
 
 
-def _chance(predicted: PredictedStars, radius: FloatArray, limit: float) -> float:
+def _chance_share(predicted: PredictedStars, radius: FloatArray, limit: float) -> float:
     """Return the share of the stars to a magnitude that would find a detection anywhere."""
     bright = predicted.magnitude <= limit
     if bright.sum() < _FEWEST:
         return 1.0
-    density = _considered(int(bright.sum())) / float(ConvexHull(predicted.pixels[bright]).volume)
+    density = _count_considered(int(bright.sum())) / float(ConvexHull(predicted.pixels[bright]).volume)
     return float(np.mean(1.0 - np.exp(-density * math.pi * radius[bright] ** 2)))
 
 
-def _pairs(
+def _pair_stars(
     stars: Stars, predicted: PredictedStars, pixels: FloatArray, radius: FloatArray, wanted: BoolArray
-) -> _Pairs:
+) -> _StarPairs:
     """Return the pairs of wanted stars that are alone, one detection each: the brightest within the radius."""
     tree = cKDTree(stars.pixels)
-    alone = _alone(predicted, pixels, np.maximum(radius, _ALONE_WIDTHS * float(np.median(stars.width_px))))
+    alone = _is_alone(predicted, pixels, np.maximum(radius, _ALONE_WIDTHS * float(np.median(stars.width_px))))
     rows, columns = [], []
     for row in np.flatnonzero(wanted & alone):
         near = tree.query_ball_point(pixels[row], radius[row])
@@ -219,10 +223,10 @@ def _pairs(
     claims = np.bincount(detection, minlength=len(stars))
     single = claims[detection] == 1
     star, detection = star[single], detection[single]
-    return _Pairs(star, detection, stars.pixels[detection] - pixels[star])
+    return _StarPairs(star, detection, stars.pixels[detection] - pixels[star])
 
 
-def _alone(predicted: PredictedStars, pixels: FloatArray, reach: FloatArray) -> BoolArray:
+def _is_alone(predicted: PredictedStars, pixels: FloatArray, reach: FloatArray) -> BoolArray:
     tree = cKDTree(pixels)
     near = tree.query_ball_point(pixels, reach)
     return np.array(
@@ -234,14 +238,14 @@ def _alone(predicted: PredictedStars, pixels: FloatArray, reach: FloatArray) -> 
     )
 
 
-def _instrumental(stars: Stars) -> FloatArray:
+def _instrumental_magnitude(stars: Stars) -> FloatArray:
     return np.asarray(-2.5 * np.log10(np.maximum(stars.flux, 1e-12)))
 
 
-def _zero_point(stars: Stars, predicted: PredictedStars, pairs: _Pairs) -> FloatArray:
+def _fit_zero_point(stars: Stars, predicted: PredictedStars, pairs: _StarPairs) -> FloatArray:
     """Return a, b, s of instrumental = a + b (V - 3), robustly, and the scatter; b < 1 where counts are compressed."""
     magnitude = predicted.magnitude[pairs.star] - 3.0
-    measured = _instrumental(stars)[pairs.detection]
+    measured = _instrumental_magnitude(stars)[pairs.detection]
     design = np.stack([np.ones_like(magnitude), magnitude], axis=-1)
     line = np.array([float(np.median(measured - magnitude)), 1.0])
     scatter = 1.0
@@ -256,16 +260,20 @@ def _zero_point(stars: Stars, predicted: PredictedStars, pairs: _Pairs) -> Float
 
 def _estimated_magnitude(stars: Stars, zero: FloatArray) -> FloatArray:
     """Return the V that detections would have by their flux."""
-    return np.asarray(3.0 + (_instrumental(stars) - zero[0]) / zero[1])
+    return np.asarray(3.0 + (_instrumental_magnitude(stars) - zero[0]) / zero[1])
 
 
-def _like_in_brightness(stars: Stars, predicted: PredictedStars, pairs: _Pairs, zero: FloatArray) -> _Pairs:
-    residual = _instrumental(stars)[pairs.detection] - zero[0] - zero[1] * (predicted.magnitude[pairs.star] - 3.0)
+def _select_like_brightness(stars: Stars, predicted: PredictedStars, pairs: _StarPairs, zero: FloatArray) -> _StarPairs:
+    residual = (
+        _instrumental_magnitude(stars)[pairs.detection] - zero[0] - zero[1] * (predicted.magnitude[pairs.star] - 3.0)
+    )
     like = np.abs(residual) < float(np.clip(3.0 * zero[2], *_MAGNITUDE_CUT))
-    return _Pairs(*(part[like] for part in pairs))
+    return _StarPairs(*(part[like] for part in pairs))
 
 
-def _explained(stars: Stars, predicted: PredictedStars, radius: FloatArray, zero: FloatArray, limit: float) -> float:
+def _share_of_detections_explained(
+    stars: Stars, predicted: PredictedStars, radius: FloatArray, zero: FloatArray, limit: float
+) -> float:
     """Return the share of the bright detections that have a predicted star within its radius."""
     bright = _estimated_magnitude(stars, zero) < limit - 0.5
     if not np.any(bright):
@@ -275,7 +283,9 @@ def _explained(stars: Stars, predicted: PredictedStars, radius: FloatArray, zero
     return float(np.mean(np.asarray(apart) < radius[bright_enough][np.asarray(row)]))
 
 
-def _found(stars: Stars, predicted: PredictedStars, radius: FloatArray, zero: FloatArray, limit: float) -> float:
+def _share_of_stars_found(
+    stars: Stars, predicted: PredictedStars, radius: FloatArray, zero: FloatArray, limit: float
+) -> float:
     """Return the share of the predicted bright stars that are detected, where the sky about them is clear."""
     bright = _estimated_magnitude(stars, zero) < limit + 0.5
     expected = predicted.magnitude < limit - 0.5
@@ -286,26 +296,28 @@ def _found(stars: Stars, predicted: PredictedStars, radius: FloatArray, zero: Fl
     return share_where_clear(pixels, apart < radius[expected])
 
 
-def _few(count: int, stars: Stars) -> Finding:
+def _too_few_finding(count: int, stars: Stars) -> Finding:
     return Finding("stars_few", {"n": int(count), "limit": _FEWEST, "detected": len(stars)})
 
 
-def _shares(explained: float, found: float) -> list[Finding]:
+def _check_shares(explained: float, found: float) -> list[Finding]:
     shares = (("stars_not_explained", explained, _LEAST_EXPLAINED), ("stars_not_found", found, _LEAST_FOUND))
     return [Finding(code, {"share": share, "limit": least}) for code, share, least in shares if share < least]
 
 
-def _check_spread(predicted: PredictedStars, pairs: _Pairs) -> list[Finding]:
+def _check_spread(predicted: PredictedStars, pairs: _StarPairs) -> list[Finding]:
     azimuth = np.sort(predicted.azimuth_deg[pairs.star] % 360.0)
     gap = float(np.max(np.diff(np.r_[azimuth, azimuth[0] + 360.0])))
     return [Finding("stars_one_sided", {"gap_deg": gap, "limit": _WIDEST_GAP_DEG})] if gap > _WIDEST_GAP_DEG else []
 
 
-def _coherent(
-    stars: Stars, predicted: PredictedStars, pairs: _Pairs, scatter: float, radius: FloatArray
+def _check_coherence(
+    stars: Stars, predicted: PredictedStars, pairs: _StarPairs, scatter: float, radius: FloatArray
 ) -> list[Finding]:
     """Return the signs that the pairs are made by chance: brightness without relation, differences without order."""
-    correlation = float(np.corrcoef(_instrumental(stars)[pairs.detection], predicted.magnitude[pairs.star])[0, 1])
+    correlation = float(
+        np.corrcoef(_instrumental_magnitude(stars)[pairs.detection], predicted.magnitude[pairs.star])[0, 1]
+    )
     usual = float(np.median(radius[pairs.star]))
     if correlation < _LEAST_CORRELATION:
         return [Finding("stars_brightness", {"correlation": correlation, "limit": _LEAST_CORRELATION})]
@@ -323,19 +335,21 @@ class _Correction(NamedTuple):
 
     def at(self, pixels: FloatArray) -> FloatArray:
         """Return (n, 2) px at pixels (n, 2)."""
-        return np.asarray(_powers((pixels - self.middle) / self.scale, self.coefficients.shape[0]) @ self.coefficients)
+        return np.asarray(
+            _polynomial_terms((pixels - self.middle) / self.scale, self.coefficients.shape[0]) @ self.coefficients
+        )
 
 
-def _powers(places: FloatArray, count: int) -> FloatArray:
+def _polynomial_terms(places: FloatArray, count: int) -> FloatArray:
     x, y = places.T
     return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y][:count], axis=-1)
 
 
-def _smooth(pixels: FloatArray, difference: FloatArray) -> tuple[_Correction, float]:
+def _fit_correction(pixels: FloatArray, difference: FloatArray) -> tuple[_Correction, float]:
     """Return a linear (from 60 stars on a quadratic) function of the pixel through differences, and their scatter."""
     middle, scale = np.median(pixels, axis=0), max(float(np.max(np.ptp(pixels, axis=0))), 1.0)
     count = 6 if pixels.shape[0] >= 60 else 3
-    design = _powers((pixels - middle) / scale, count)
+    design = _polynomial_terms((pixels - middle) / scale, count)
     weight = np.ones(pixels.shape[0])
     for _ in range(10):
         rows = np.sqrt(weight)[:, None]

@@ -69,7 +69,7 @@ def fit_extinction(images: Sequence[StarLight], bands_deg: Sequence[float]) -> E
     A robust straight line of the magnitudes that a star lost over its air mass: one slope, and a zero point for each
     image. NaN where there are fewer than 100 stars, or within less than one air mass.
     """
-    air_mass, lost, image, zenith = _columns(images)
+    air_mass, lost, image, zenith = _make_star_columns(images)
     counts = np.bincount(image, minlength=len(images))
     known = counts[image] >= _FEWEST_OF_AN_IMAGE
     air_mass, lost, image, zenith = air_mass[known], lost[known], image[known], zenith[known]
@@ -91,11 +91,11 @@ def fit_extinction(images: Sequence[StarLight], bands_deg: Sequence[float]) -> E
         per_air_mass=slope,
         sigma=sigma,
         zero_point=-offset,
-        transparency=_by_band(lost - offset[image], zenith, bands_deg),
+        transparency=_light_share_by_band(lost - offset[image], zenith, bands_deg),
     )
 
 
-def _columns(
+def _make_star_columns(
     images: Sequence[StarLight],
 ) -> tuple[FloatArray, FloatArray, IntArray, FloatArray]:
     """Return air masses, magnitudes lost, images and zenith angles of the stars above `LOWEST_DEG`, (n,) each."""
@@ -118,7 +118,7 @@ def _weighted_means(columns: FloatArray, image: IntArray, weight: FloatArray, n:
     return np.asarray(np.divide(sums, total, out=np.full(sums.shape, math.nan), where=total > 0.0))
 
 
-def _by_band(lost: FloatArray, zenith_deg: FloatArray, bands_deg: Sequence[float]) -> FloatArray:
+def _light_share_by_band(lost: FloatArray, zenith_deg: FloatArray, bands_deg: Sequence[float]) -> FloatArray:
     shares = []
     for begin, end in itertools.pairwise(bands_deg):
         within = lost[(zenith_deg >= begin) & (zenith_deg < end)]
@@ -241,7 +241,7 @@ class NightTrend:
 
 def night_trend(width: FloatArray, halo: FloatArray, zero_point: FloatArray) -> NightTrend:
     """Return the medians of the last third of a night's images against those of its first, (n,) in their order."""
-    first, last = zip(*(_ends(column) for column in (width, halo, zero_point)), strict=True)
+    first, last = zip(*(_medians_of_end_thirds(column) for column in (width, halo, zero_point)), strict=True)
     return NightTrend(
         width_growth=last[0] / first[0] if first[0] > 0.0 else math.nan,
         halo_growth=last[1] - first[1],
@@ -271,7 +271,7 @@ def focus_ratio(widths: Sequence[float], limits: NightLimits) -> float | None:
     return ratio if ratio >= limits.width_ratio else None
 
 
-def _ends(column: FloatArray) -> tuple[float, float]:
+def _medians_of_end_thirds(column: FloatArray) -> tuple[float, float]:
     """Return the medians of the first and of the last third of the numbers that are known."""
     known = column[np.isfinite(column)]
     if known.size < _FEWEST_IMAGES:
@@ -300,7 +300,7 @@ def star_halo(image: Image, stars: Stars, *, full_scale: int, bayer: Bayer | Non
     offset = np.arange(-reach, reach + 1)
     dy, dx = np.meshgrid(offset, offset, indexing="ij")
     radius = np.hypot(dx, dy) / width
-    ring, ground = (_within(radius, limits) for limits in (_RING_WIDTHS, _GROUND_WIDTHS))
+    ring, ground = (_is_within(radius, limits) for limits in (_RING_WIDTHS, _GROUND_WIDTHS))
     column, row = np.rint(stars.pixels[usable]).astype(int).T
     inside = (column >= reach) & (row >= reach) & (column < plane.shape[1] - reach) & (row < plane.shape[0] - reach)
     if np.count_nonzero(inside) < _FEWEST_RINGS:
@@ -316,5 +316,5 @@ def _lower_mean(values: FloatArray) -> FloatArray:
     return np.asarray(np.mean(np.partition(values, kept - 1, axis=-1)[:, :kept], axis=-1))
 
 
-def _within(radius: FloatArray, limits: tuple[float, float]) -> BoolArray:
+def _is_within(radius: FloatArray, limits: tuple[float, float]) -> BoolArray:
     return np.asarray((radius >= limits[0]) & (radius < limits[1]))

@@ -92,9 +92,9 @@ class WarmPixelMap:
         rows, columns = frame.image.shape[:2]
         sensor = SensorFormat(rows, columns, frame.pixel_format, frame.binning, serial)
         if sensor != self._sensor:  # at the start, with another camera, region or binning
-            self._begin(sensor)
+            self._begin_with_sensor(sensor)
         self._seen.append((frame.time, outstanding_pixels(frame.image, bayer=bayer)))
-        self._learn()
+        self._learn_warm_pixels()
         return repaired(frame.image, self._warm, bayer=bayer) if len(self) else frame.image
 
     @property
@@ -104,15 +104,15 @@ class WarmPixelMap:
 
     def resume(self, sensor: SensorFormat, seen: Iterable[tuple[datetime, IntArray]]) -> None:
         """Take up the images of a night from before a restart: the time of each, and the pixels that stood out."""
-        self._begin(sensor)
+        self._begin_with_sensor(sensor)
         self._seen.extend(seen)
-        self._learn()
+        self._learn_warm_pixels()
 
-    def _learn(self) -> None:
+    def _learn_warm_pixels(self) -> None:
         if len(self._seen) >= _FEWEST and self._seen[-1][0] - self._seen[0][0] >= _SHORTEST:
             self._warm = warm_pixels([pixels for _, pixels in self._seen])
 
-    def _begin(self, sensor: SensorFormat) -> None:
+    def _begin_with_sensor(self, sensor: SensorFormat) -> None:
         self._seen.clear()
         self._sensor = sensor
         self._warm = self._saved = np.zeros(0, dtype=np.int64) if self._file is None else self._file.read(sensor)

@@ -57,7 +57,7 @@ class FaultLog:
         request : method and path.
         now_s : seconds that never jump.
         """
-        name, location = _identify(error)
+        name, location = _name_fault(error)
         with self._lock:
             kind = self._kinds.get(name)
             if kind is not None and now_s - kind.logged_at_s < _WINDOW_S:
@@ -76,7 +76,7 @@ class FaultLog:
         return name
 
 
-def _identify(error: BaseException) -> tuple[str, str]:
+def _name_fault(error: BaseException) -> tuple[str, str]:
     """Return a fault's name, and the line that raised it."""
     frames = traceback.extract_tb(error.__traceback__)
     location = f"{frames[-1].filename}:{frames[-1].lineno}" if frames else "an unknown line"
@@ -252,10 +252,10 @@ def add_problem_handlers(app: FastAPI, faults: FaultLog) -> None:
         if _is_fault(error):
             name = _record_faults(faults, error, request.scope)
             return internal_problem(request.url.path, name)
-        return _ours(request, error)
+        return _answer_own_error(request, error)
 
-    app.add_exception_handler(RequestValidationError, _invalid)
-    app.add_exception_handler(HTTPException, _http)
+    app.add_exception_handler(RequestValidationError, _answer_invalid)
+    app.add_exception_handler(HTTPException, _answer_http_error)
     app.add_exception_handler(SunarcError, ours)
 
 
@@ -296,13 +296,13 @@ _KINDS = {
 }
 
 
-def _invalid(request: Request, error: Exception) -> JSONResponse:
+def _answer_invalid(request: Request, error: Exception) -> JSONResponse:
     found = error.errors() if isinstance(error, RequestValidationError) else ()
     if any(tuple(one["loc"]) == ("body",) for one in found) and not _sends_json(request):
-        return _ours(request, RefusedError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, _NOT_JSON))
-    faults = [_fault(one) for one in list(found)[:_MOST_FAULTS]]
+        return _answer_own_error(request, RefusedError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, _NOT_JSON))
+    faults = [_make_fault(one) for one in list(found)[:_MOST_FAULTS]]
     return problem_response(
-        HTTPStatus.UNPROCESSABLE_ENTITY, path=request.url.path, detail=_sentence(faults), errors=faults
+        HTTPStatus.UNPROCESSABLE_ENTITY, path=request.url.path, detail=_make_sentence(faults), errors=faults
     )
 
 
@@ -311,22 +311,22 @@ def _sends_json(request: Request) -> bool:
     return media_type == "application/json" or media_type.endswith("+json")
 
 
-def _http(request: Request, error: Exception) -> JSONResponse:
+def _answer_http_error(request: Request, error: Exception) -> JSONResponse:
     if isinstance(error, UnreadError):
         return error.response(request.url.path)
     http_error = error if isinstance(error, HTTPException) else HTTPException(500)
     status, headers = HTTPStatus(http_error.status_code), http_error.headers
-    if status == HTTPStatus.METHOD_NOT_ALLOWED and (methods := _methods(request)):
+    if status == HTTPStatus.METHOD_NOT_ALLOWED and (methods := _list_methods(request)):
         headers = {"allow": ", ".join(sorted(methods))}
         described = " or ".join(sorted(methods - {"HEAD"}))
         fault = Fault(field="method", problem=f"{request.method} is not answered here", remedy=f"send {described}")
         return problem_response(
-            status, path=request.url.path, detail=_sentence([fault]), errors=[fault], headers=headers
+            status, path=request.url.path, detail=_make_sentence([fault]), errors=[fault], headers=headers
         )
     return problem_response(status, path=request.url.path, detail=str(http_error.detail), headers=headers)
 
 
-def _methods(request: Request) -> set[str]:
+def _list_methods(request: Request) -> set[str]:
     """Return the methods that the described path of a request knows; it may be several routes' together."""
     requested_path = re.sub("^/v1/cameras/[^/]+/", "/v1/", request.url.path)
     described = request.app.openapi()["paths"].items()
@@ -340,7 +340,7 @@ def _is_fault(error: Exception) -> bool:
     return not isinstance(error, RefusedError | InputError | OutsideError)
 
 
-def _ours(request: Request, error: Exception) -> JSONResponse:
+def _answer_own_error(request: Request, error: Exception) -> JSONResponse:
     path = request.url.path
     if isinstance(error, RefusedError):
         return refusal_response(path, error)
@@ -358,25 +358,25 @@ def _ours(request: Request, error: Exception) -> JSONResponse:
     return problem_response(HTTPStatus.SERVICE_UNAVAILABLE, path=path, detail=str(error), headers=again)
 
 
-def _fault(error: Mapping[str, Any]) -> Fault:
+def _make_fault(error: Mapping[str, Any]) -> Fault:
     """Return the fault of an error of pydantic; our own validators write "problem; remedy"."""
     kind, message = error["type"], str(error["msg"]).removeprefix("Value error, ")
     problem, _, remedy = message.partition("; ") if kind == "value_error" else (message, "", "")
     return Fault(
-        field="body" if kind == "json_invalid" else _location(error["loc"]),
+        field="body" if kind == "json_invalid" else _format_location(error["loc"]),
         problem=_PROBLEMS.get(kind, problem[:1].lower() + problem[1:]),
         remedy=remedy or _REMEDIES.get(kind, _REMEDY),
     )
 
 
-def _location(location: Iterable[str | int]) -> str:
+def _format_location(location: Iterable[str | int]) -> str:
     """Name a place as its sender would: ("body", "pixels", 3, 0) is pixels[3][0]."""
     first, *rest = location
     parts = [f"[{part}]" if isinstance(part, int) else f".{part}" for part in rest]
     return "".join(parts).lstrip(".") or str(first)
 
 
-def _sentence(faults: Sequence[Fault]) -> str:
+def _make_sentence(faults: Sequence[Fault]) -> str:
     first = faults[0]
     others = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
     return f"{first.field}: {first.problem}; {first.remedy}{others}"
@@ -393,7 +393,7 @@ async def require_known_names(request: Request) -> None:
     given = request.query_params.keys()
     if not given:
         return
-    known = set(_names(request.scope["route"].dependant))
+    known = set(_list_parameter_names(request.scope["route"].dependant))
     for name in given:
         if name not in known:
             remedy = f"use {', '.join(sorted(known))}" if known else "leave it out; this route has no parameters"
@@ -401,9 +401,9 @@ async def require_known_names(request: Request) -> None:
             raise RefusedError(HTTPStatus.UNPROCESSABLE_ENTITY, fault)
 
 
-def _names(dependant: Dependant) -> Iterator[str]:
+def _list_parameter_names(dependant: Dependant) -> Iterator[str]:
     """Yield the names of the query parameters of a route and of its dependencies."""
     for parameter in dependant.query_params:
         yield parameter.alias
     for further in dependant.dependencies:
-        yield from _names(further)
+        yield from _list_parameter_names(further)

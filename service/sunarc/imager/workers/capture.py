@@ -80,7 +80,7 @@ class CaptureWorker:
                     self._require_exposures(camera)
                     self._night_gain.restore(camera)
                     self._report.opened(camera.info)
-                    for _ in self._slots(camera, loop):
+                    for _ in self._serve_slots(camera, loop):
                         # Only a slot that succeeded ends the back-off: a camera may open and then fail at once.
                         failures = 1
             except CameraError as error:
@@ -90,9 +90,9 @@ class CaptureWorker:
                 failures = _REFUSED
             loop.wait(pauses.after(failures))
 
-    def _slots(self, camera: SkyCamera, loop: Loop) -> Iterator[datetime]:
+    def _serve_slots(self, camera: SkyCamera, loop: Loop) -> Iterator[datetime]:
         """Serve slot after slot, and yield each that succeeded."""
-        exposer = self._exposer(camera, deadline_s=math.inf)
+        exposer = self._new_exposure_sequence(camera, deadline_s=math.inf)
         # The camera dates the frames: before its first one there is no time to find a slot by.
         if not self.frame_time.is_known:
             self._test_camera(exposer, camera.info.exposure_min_us)
@@ -111,11 +111,11 @@ class CaptureWorker:
             if loop.wait(remaining_s):
                 return
             if daylight:
-                self._serve(real_every_s=real_every_s)
+                self._mark_slot_served(real_every_s=real_every_s)
                 self.cycle(camera, slot, within_s=real_every_s - lead_s)
             else:
                 self._last_slot_at_s = None
-                self._at_night(exposer, camera)
+                self._take_night_frames(exposer, camera)
             yield slot
 
     def _next_slot(self, *, every_s: float) -> datetime:
@@ -127,7 +127,7 @@ class CaptureWorker:
             slot += timedelta(seconds=every_s)  # the clock was set back, or repeats a leap second
         return slot
 
-    def _serve(self, *, real_every_s: float) -> None:
+    def _mark_slot_served(self, *, real_every_s: float) -> None:
         """Mark a slot as served, and count the slots missed since the last one."""
         now_s = self.clock.monotonic()
         self._missed_before = 0
@@ -145,7 +145,7 @@ class CaptureWorker:
         """Take the exposures of one slot, and pass them on once the camera confirms its settings."""
         began_at = self.clock.monotonic()
         done_at: list[float] = []
-        exposer = self._exposer(camera, deadline_s=began_at + within_s)
+        exposer = self._new_exposure_sequence(camera, deadline_s=began_at + within_s)
         normal = exposer.take_agreeing(
             self.options.hdr_exposures_us,
             taken=lambda: done_at.append(self.clock.monotonic()),
@@ -156,25 +156,25 @@ class CaptureWorker:
             raise CameraLostError(f"no exposure of a whole cycle succeeded; the last time: {self._report.failure}")
         overran = not exposer.has_time()
         self._report.normal_frames(good, apparent_zenith=self.apparent_zenith())
-        taken = Cycle(normal=tuple(normal), sun=tuple(self._sun_frames_beside(good, exposer, camera)))
+        taken = Cycle(normal=tuple(normal), sun=tuple(self._take_sun_frames(good, exposer, camera)))
         self._report.condition(camera.check())
         for accepted in self._consistency.accepted_cycles(taken):
-            self._hand_over(accepted)
+            self._queue_frames(accepted)
         self._report.cycle(
             complete=taken.complete,
             overran=overran,
-            jitter_s=None if normal[0] is None else self._late_s(normal[0], slot),
+            jitter_s=None if normal[0] is None else self._measure_delay_s(normal[0], slot),
             hdr_s=done_at[-1] - began_at,
         )
 
-    def _hand_over(self, taken: Cycle) -> None:
+    def _queue_frames(self, taken: Cycle) -> None:
         # A composite needs every normal exposure; the sun's frames are of use one by one.
         if taken.complete:
             self.cycles.put(taken.good)
         for frame in taken.sun:
             self.sun_frames.put(frame)
 
-    def _sun_frames_beside(self, normal: Sequence[Frame], exposer: ExposureSequence, camera: SkyCamera) -> list[Frame]:
+    def _take_sun_frames(self, normal: Sequence[Frame], exposer: ExposureSequence, camera: SkyCamera) -> list[Frame]:
         """Take the sun exposures of a cycle, while there is time."""
         if self.apparent_zenith() >= self.options.sun_zenith_deg:
             return []
@@ -188,7 +188,7 @@ class CaptureWorker:
         )
         return taken
 
-    def _at_night(self, exposer: ExposureSequence, camera: SkyCamera) -> None:
+    def _take_night_frames(self, exposer: ExposureSequence, camera: SkyCamera) -> None:
         """Take the exposures of stars and moon once it is dark; before, or without `night`, a test exposure."""
         if self.night is None or self.apparent_zenith() < DARK_ZENITH_DEG:
             self._test_camera(exposer, max(self.options.hdr_exposures_us))
@@ -213,15 +213,15 @@ class CaptureWorker:
         if frame is not None:
             self._report.night_level(frame, apparent_zenith=self.apparent_zenith())
 
-    def _exposer(self, camera: SkyCamera, *, deadline_s: float) -> ExposureSequence:
+    def _new_exposure_sequence(self, camera: SkyCamera, *, deadline_s: float) -> ExposureSequence:
         return ExposureSequence(
             camera=camera,
             has_time=lambda: self.clock.monotonic() < deadline_s,
             report=self._report,
-            received=self._received,
+            received=self._note_frame,
         )
 
-    def _late_s(self, first: Frame, slot: datetime) -> float | None:
+    def _measure_delay_s(self, first: Frame, slot: datetime) -> float | None:
         """Return the real seconds from a slot to its first frame's beginning; None where the clock was set between."""
         began = first.time - timedelta(microseconds=first.exposure_us / 2.0)
         late_s = (began - slot).total_seconds()
@@ -234,7 +234,7 @@ class CaptureWorker:
                 field="capture.hdr_exposures_us", problem=beyond, remedy="set exposures that the camera can take"
             )
 
-    def _received(self, frame: Frame) -> None:
+    def _note_frame(self, frame: Frame) -> None:
         """Set the frame time by a frame, whose exposure has just ended."""
         ended_at = frame.time + timedelta(microseconds=frame.exposure_us / 2.0)
         self.frame_time.note(ended_at, host_offset_s=frame.host_offset_s)

@@ -213,15 +213,15 @@ class UntrustedTimes:
         since = now.wall if before is None else before.wall
         if step is not None:
             if self._growing:
-                self._grow(step.doubted[0][1])
+                self._extend_last_interval(step.doubted[0][1])
             self._growing, since = False, step.doubted[1][0]
         if self._growing:
-            self._grow(now.wall)
+            self._extend_last_interval(now.wall)
         elif not trusted:
             self._intervals.append((since, now.wall))
         self._growing = not trusted
 
-    def _grow(self, until: datetime) -> None:
+    def _extend_last_interval(self, until: datetime) -> None:
         self._intervals[-1] = (self._intervals[-1][0], until)
 
     def covers(self, time: datetime) -> bool:
@@ -291,27 +291,27 @@ class ClockWatch:
 
     def check(self) -> None:
         """Check the clock once, store a step, and publish the clock's state."""
-        self._compare()
+        self._compare_with_last_reading()
         with self._lock:
             if self._last is not None and not self._is_compared_with_record:  # the database could not be read
-                self._begin(self._last)
-        self._write_down()
-        self._publish()
+                self._begin_comparison(self._last)
+        self._store_steps()
+        self._publish_clock()
 
     def trusted(self) -> bool:
         """Return whether sightings made now can be used for a calibration."""
         if self._last is None:
-            self._compare()
-        return self._bound_s() < UNKNOWN_ERROR_S and not self._camera_off_s and not self._is_camera_far_off()
+            self._compare_with_last_reading()
+        return self._error_bound_s() < UNKNOWN_ERROR_S and not self._camera_off_s and not self._is_camera_far_off()
 
     def error_s(self, time: datetime) -> float:
         """Return the bound of the error of a frame's time; `UNKNOWN_ERROR_S` without one."""
-        self._compare()
+        self._compare_with_last_reading()
         with self._lock:
             doubts = [abs(step.step_s) for step in self._doubts if step.doubts(time)]
             if self._untrusted.covers(time):
                 doubts.append(UNKNOWN_ERROR_S)
-        return max([self._bound_s(), *doubts])
+        return max([self._error_bound_s(), *doubts])
 
     def cleaning_time(self) -> datetime | None:
         """Return the time from which the age of images is counted; None while the clock is not trusted."""
@@ -320,9 +320,9 @@ class ClockWatch:
         undisturbed_s = self._clock.monotonic() - self._undisturbed_since_s
         return self.frame_time.now() if undisturbed_s >= _CLEANING_WAIT_S or not self.finds_steps else None
 
-    def _bound_s(self) -> float:
+    def _error_bound_s(self) -> float:
         if self.camera_error_s is not None:
-            differing = (self._off_at_most_s(offset) for offset in self._camera_offsets_s())
+            differing = (self._bound_camera_error_s(offset) for offset in self._camera_offsets_s())
             return max(self.camera_error_s, abs(self._camera_off_s), *differing, 0.0)
         if self._agreement.wait_s(self._clock.monotonic()) > 0.0:
             return UNKNOWN_ERROR_S
@@ -346,7 +346,7 @@ class ClockWatch:
             offset if abs(offset) > host_s or is_tai(offset) else 0.0 for offset in self.frame_time.host_offsets_s
         )
 
-    def _off_at_most_s(self, offset_s: float) -> float:
+    def _bound_camera_error_s(self, offset_s: float) -> float:
         """Return the bound of the camera's error by its difference from the host: the host's own is added."""
         if offset_s == 0.0:
             return 0.0
@@ -357,26 +357,26 @@ class ClockWatch:
         smallest_s = min(self._camera_offsets_s(), key=abs, default=0.0)
         return abs(smallest_s) > MAX_CLOCK_ERROR_S
 
-    def _compare(self) -> None:
+    def _compare_with_last_reading(self) -> None:
         if not self.finds_steps or not self.frame_time.is_known:
             return
         with self._lock:
-            before, now = self._last, self._read()
+            before, now = self._last, self._read_clocks()
             self._last = now
             step = None
             if before is None:
                 self._gradual.restart(now)
-                self._begin(now)
+                self._begin_comparison(now)
             else:
                 step = step_between(before, now, least_s=self._least_step_s)
                 step = step or self._gradual.step_to(now, least_s=self._least_step_s)
             if step is not None:
-                self._take(step, now)
+                self._handle_step(step, now)
             if self._kernel_bound_s() < UNKNOWN_ERROR_S:
                 self._agreement.agreed(now)
             self._untrusted.note(before, now, step=step, trusted=self.trusted())
 
-    def _begin(self, now: ClockReading) -> None:
+    def _begin_comparison(self, now: ClockReading) -> None:
         """Compare a first reading with the record: its newest sighting, and a wait that has not ended."""
         day = timedelta(seconds=IMPLAUSIBLE_SETTLE_S)
         try:
@@ -396,7 +396,7 @@ class ClockWatch:
         self._agreement.begin(now, newest_stored=newest, remaining_s=remaining_s)
         self._is_compared_with_record = True
 
-    def _take(self, step: ClockStep, now: ClockReading) -> None:
+    def _handle_step(self, step: ClockStep, now: ClockReading) -> None:
         """Record a step, start the wait, and widen the clock error of affected sightings."""
         self._doubts.append(step)
         if self._is_leap_second(step):
@@ -406,7 +406,7 @@ class ClockWatch:
         self._last_step = step
         wait_s = 0.0
         if self.camera_error_s is not None:
-            self._camera_off_s = self._camera_off(step.step_s)
+            self._camera_off_s = self._estimate_camera_error_s(step.step_s)
         elif step.gradual or abs(step.step_s) >= LARGE_STEP_S:
             wait_s = self._agreement.stepped(now)
         self._unwritten.append((step, wait_s))
@@ -418,7 +418,7 @@ class ClockWatch:
     def _least_step_s(self) -> float:
         return self.options.step_s + (0.0 if self.camera_error_s is None else _TRANSPORT_S)
 
-    def _read(self) -> ClockReading:
+    def _read_clocks(self) -> ClockReading:
         # The two clocks cannot be read at once: the wall's lies between two readings of the other, half of whose
         # distance bounds the error of the pair.
         before_s = self._clock.monotonic()
@@ -426,14 +426,14 @@ class ClockWatch:
         after_s = self._clock.monotonic()
         return ClockReading(wall=wall, monotonic_s=(before_s + after_s) / 2.0, within_s=after_s - before_s)
 
-    def _camera_off(self, step_s: float) -> float:
+    def _estimate_camera_error_s(self, step_s: float) -> float:
         """Return how far the camera's clock may be off: nothing when it stepped back, or agrees with a good host."""
         off_s = self._camera_off_s + step_s
         difference_s = abs((self.frame_time.now() - self._clock.now()).total_seconds())
         agrees = self._kernel_bound_s() <= MAX_CLOCK_ERROR_S and difference_s < _TRANSPORT_S
         return 0.0 if agrees or abs(off_s) <= self._least_step_s else off_s
 
-    def _write_down(self) -> None:
+    def _store_steps(self) -> None:
         """Store the steps, and widen the bounds of sightings stored before a step was found."""
         while self._unwritten:
             step, wait_s = self._unwritten[0]
@@ -442,32 +442,32 @@ class ClockWatch:
                     self.camera.archive.sightings.widen_clock_errors(
                         self.camera.name, since=since, until=until, error_s=abs(step.step_s)
                     )
-                self._store(step, wait_s)
+                self._store_step_event(step, wait_s)
             except OutsideError as error:
                 _log.warning("could not store clock step, will retry: %s", error)
                 return
             # Forgotten only now: widening a bound twice changes nothing, and the event was written last.
             self._unwritten.popleft()
 
-    def _store(self, step: ClockStep, wait_s: float) -> None:
+    def _store_step_event(self, step: ClockStep, wait_s: float) -> None:
         self.camera.add_event(
-            stepped("clock_step", self._whose, step),
+            stepped("clock_step", self._name_stepped_clock, step),
             time=step.at,
             severity="warning",
             details={
                 "noticed_within_s": step.within_s,
                 "synchronised_after": self._clock.state().synchronised,
-                "error_bound_s": self._bound_s(),
+                "error_bound_s": self._error_bound_s(),
                 "gradual": step.gradual,
                 "distrusted_s": wait_s,
             },
         )
 
     @property
-    def _whose(self) -> str:
+    def _name_stepped_clock(self) -> str:
         return "host" if self.camera_error_s is None else "camera"
 
-    def _publish(self) -> None:
+    def _publish_clock(self) -> None:
         state = self._clock.state()
         last = self._last_step
         self.board.note(
@@ -479,7 +479,9 @@ class ClockWatch:
             )
         )
         recent = last is not None and self._clock.monotonic() - last.found_s < SHOW_STEP_S
-        self._put("clock_stepped", stepped("clock_stepped", self._whose, last) if last and recent else None)
+        self._set_condition(
+            "clock_stepped", stepped("clock_stepped", self._name_stepped_clock, last) if last and recent else None
+        )
         self._publish_trust()
 
     def _publish_trust(self) -> None:
@@ -491,18 +493,23 @@ class ClockWatch:
             self.camera_error_s is None and self._kernel_bound_s() >= UNKNOWN_ERROR_S
         )
         offset = camera_offset(offset_s, limit_s=_CAMERA_OFFSET_S) if is_off else None
-        self._put("clock_settling", Finding("clock_settling", {"wait_s": wait_s}) if wait_s > 0.0 else None, log=True)
-        self._put("camera_clock_offset", offset)
-        self._put("clock_unsynchronised", self._unsynchronised() if without else None, log=True)
+        self._set_condition(
+            "clock_settling", Finding("clock_settling", {"wait_s": wait_s}) if wait_s > 0.0 else None, log=True
+        )
+        self._set_condition("camera_clock_offset", offset)
+        self._set_condition("clock_unsynchronised", self._unsynchronised_finding() if without else None, log=True)
         if offset is not None and not self._is_offset_written:
-            self._write_offset(offset)
+            self._write_offset_event(offset)
         self._is_offset_written = is_off
 
-    def _unsynchronised(self) -> Finding:
+    def _unsynchronised_finding(self) -> Finding:
         """Return that the clock is not synchronised, with the error that it makes in degrees."""
-        return Finding("clock_unsynchronised", {"clock": self._whose, "cost": clock_cost_text(self._sigma_deg())})
+        return Finding(
+            "clock_unsynchronised",
+            {"clock": self._name_stepped_clock, "cost": clock_cost_text(self._served_sigma_deg())},
+        )
 
-    def _sigma_deg(self) -> float | None:
+    def _served_sigma_deg(self) -> float | None:
         """Return the 1-sigma over the sky of the served calibration; None without one that can be read."""
         try:
             record = self.camera.archive.calibrations.current(self.camera.name)
@@ -510,14 +517,14 @@ class ClockWatch:
             return None
         return None if record is None else record.document.get("uncertainty", {}).get("sky_rms_deg")
 
-    def _write_offset(self, offset: Finding) -> None:
+    def _write_offset_event(self, offset: Finding) -> None:
         """Write an event when the camera's time is found not to be the host's."""
         try:
             self.camera.add_event(offset, time=self.frame_time.now(), severity="alarm")
         except OutsideError as error:
             _log.warning("could not store an event: %s", error)
 
-    def _put(self, code: str, finding: Finding | None, *, log: bool = False) -> None:
+    def _set_condition(self, code: str, finding: Finding | None, *, log: bool = False) -> None:
         """Set or clear a condition; without a log line where an event states the same."""
         self.board.set_condition(code, None if finding is None else Reason.of(finding), log=log)
 

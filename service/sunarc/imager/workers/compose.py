@@ -132,13 +132,13 @@ def image_document(
         "counts_per_us": composite.counts_per_us,
         "saturated_px": composite.saturated_px,
         "calibration": predictor.calibration_id(),
-        "sun": _sun(first.time, site, predictor),
+        "sun": _describe_sun(first.time, site, predictor),
         "site": {"latitude": site.latitude, "longitude": site.longitude, "altitude": site.altitude},
         "software": {"name": "sunarc", "version": sunarc.__version__},
     }
 
 
-def _sun(time: datetime, site: Site, predictor: SunPredictor) -> dict[str, float | None]:
+def _describe_sun(time: datetime, site: Site, predictor: SunPredictor) -> dict[str, float | None]:
     angles = sun_angles(time.timestamp(), site)
     expected = predictor.expectation(time)
     return {

@@ -66,9 +66,9 @@ class CycleConsistencyFilter:
         if not self._comparing or not level.tells:
             self._reference = self._held_back = None
             return [taken]
-        return self._first(taken, level)
+        return self._hold_first_cycle(taken, level)
 
-    def _first(self, taken: Cycle, level: _CycleLevel) -> list[Cycle]:
+    def _hold_first_cycle(self, taken: Cycle, level: _CycleLevel) -> list[Cycle]:
         """Delay a cycle without a reference; or return it together with the delayed one before it.
 
         Two that are too far apart to be compared are let go: nothing speaks against them, and nothing ever could.

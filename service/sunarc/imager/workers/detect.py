@@ -46,7 +46,7 @@ _LIT, _LEAST_COUNTS, _SATURATED = 0.1, 3.0, 0.98
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Disc:
+class _DeliveredDisc:
     """The image around a disc as it was delivered, and its place in the whole one."""
 
     time: datetime
@@ -84,7 +84,7 @@ class FrozenFrames:
         self._lock = threading.Lock()
         self._images: OrderedDict[bytes, datetime] = OrderedDict()
         self._positions: deque[tuple[datetime, float, float]] | None = None
-        self._discs: deque[_Disc] = deque(maxlen=_MAX_POSITIONS)
+        self._discs: deque[_DeliveredDisc] = deque(maxlen=_MAX_POSITIONS)
         self._tiles = RepeatedImages(self.camera.site, noisy=True)
         self._alarm = FrozenAlarm(self.camera, self.board)
 
@@ -94,25 +94,25 @@ class FrozenFrames:
         Called by capture for every frame: probes, normal exposures and discarded cycles are images that a camera can
         deliver again too.
         """
-        self._same_image(frame)
+        self._find_same_image(frame)
 
     def checked(self, frame: Frame, detection: Detection) -> Detection:
         """Return the detection, or its rejection where the frame repeats an earlier one."""
-        earlier = self._same_image(frame)
+        earlier = self._find_same_image(frame)
         if earlier is None:
-            earlier = self._same_position(frame.time, detection)
+            earlier = self._find_same_position(frame.time, detection)
         if earlier is None:
             tiles = self._tiles.earlier(image_tiles(frame.image), frame.time, None)
             earlier = None if tiles is None else tiles.time
         if earlier is None:
             if _is_informative(frame.image):
                 self._alarm.clear()
-            return self._without_earlier_disc(frame, detection)
+            return self._reject_earlier_disc(frame, detection)
         self._alarm.note(frame.time, earlier)
         repeated = Finding("frame_repeated", {"time": earlier.isoformat(timespec="seconds")})
         return replace(detection, accepted=False, verdict=FROZEN, findings=(repeated,))
 
-    def _same_image(self, frame: Frame) -> datetime | None:
+    def _find_same_image(self, frame: Frame) -> datetime | None:
         """Return the time of an earlier frame with the same bytes; None without one, or for bytes without content."""
         if not _is_informative(frame.image):
             return None
@@ -124,7 +124,7 @@ class FrozenFrames:
                 self._images.popitem(last=False)
         return None if earlier == frame.time else earlier  # the frame itself; a replay may play the same file twice
 
-    def _same_position(self, time: datetime, detection: Detection) -> datetime | None:
+    def _find_same_position(self, time: datetime, detection: Detection) -> datetime | None:
         """Return when the sun was seen in exactly the same place though it has moved since; None where it was not."""
         if detection.x_px is None or detection.y_px is None or not _is_sun(detection):
             return None
@@ -138,7 +138,7 @@ class FrozenFrames:
         self._positions.append((time, x_px, y_px))
         return None
 
-    def _without_earlier_disc(self, frame: Frame, detection: Detection) -> Detection:
+    def _reject_earlier_disc(self, frame: Frame, detection: Detection) -> Detection:
         """Return the detection, rejected where the disc is an earlier frame's among rows of this one."""
         if detection.x_px is None or detection.y_px is None:
             return detection
@@ -149,7 +149,7 @@ class FrozenFrames:
             return replace(detection, accepted=False, verdict=FROZEN, findings=(repeated,))
         x, y = (max(round(at) - _HALF_PX, 0) for at in (detection.x_px, detection.y_px))
         place = (slice(y, y + 2 * _HALF_PX + 1), slice(x, x + 2 * _HALF_PX + 1))
-        self._discs.append(_Disc(frame.time, place, frame.image[place].copy()))
+        self._discs.append(_DeliveredDisc(frame.time, place, frame.image[place].copy()))
         return detection
 
     def _stored(self, time: datetime) -> deque[tuple[datetime, float, float]]:
@@ -319,8 +319,8 @@ class DetectWorker:
             options=self._disc_options(frame.time),
             exposure_us=frame.exposure_us,
         )
-        detection = self._beside_bracket(frame, detection, expectation)
-        detection = self._or_elsewhere(frame, detection, expectation)
+        detection = self._check_with_bracket(frame, detection, expectation)
+        detection = self._search_elsewhere(frame, detection, expectation)
         detection = self.checked(self.frozen.checked(frame, detection), frame.time)
         self._faults.note(frame.image)
         point = make_sun_point(
@@ -338,18 +338,18 @@ class DetectWorker:
             self.board.note(last_sighting_at=frame.time)
         return detection
 
-    def _beside_bracket(self, frame: Frame, detection: Detection, expectation: Expectation | None) -> Detection:
+    def _check_with_bracket(self, frame: Frame, detection: Detection, expectation: Expectation | None) -> Detection:
         """Return the detection, checked against the cycle's earlier frames, and keep it for the later ones."""
         if self._bracket and not timedelta(0) <= frame.time - self._bracket[0].time < self._bracket_of:
             self._bracket = []
         earlier = tuple(self._bracket)
         self._bracket.append(_FrameResult(frame.time, detection, expectation))
-        shifts = [_shift(result.expectation, expectation) for result in earlier]
+        shifts = [_measure_sun_shift(result.expectation, expectation) for result in earlier]
         known = [shift for shift in shifts if shift is not None]
         complete = known if len(known) == len(shifts) else None
         return check_against_bracket([result.detection for result in earlier], detection, shifts=complete)
 
-    def _or_elsewhere(self, frame: Frame, found: Detection, expectation: Expectation | None) -> Detection:
+    def _search_elsewhere(self, frame: Frame, found: Detection, expectation: Expectation | None) -> Detection:
         """Return the detection, or a clean disc anywhere in a frame without one at its expected place."""
         if found.accepted or expectation is None or found.verdict not in _PERHAPS_ELSEWHERE:
             return found
@@ -367,6 +367,6 @@ class DetectWorker:
         return replace(self.disc, clear_level_per_us=self.predictor.clear_level_per_us(time))
 
 
-def _shift(before: Expectation | None, now: Expectation | None) -> tuple[float, float] | None:
+def _measure_sun_shift(before: Expectation | None, now: Expectation | None) -> tuple[float, float] | None:
     """Return how far the sun moved, px; None where that is not known."""
     return None if before is None or now is None else (now.x_px - before.x_px, now.y_px - before.y_px)

@@ -207,7 +207,7 @@ class SunExposures:
                 self._state = exposure.first_sun_exposures(self.options, bounds)
             elif self._reported:
                 self._state = exposure.next_sun_exposures(self._state, observation, options=self.options, bounds=bounds)
-                self._publish(self._state, bounds)
+                self._publish_state(self._state, bounds)
             self._shortest_us = bounds.minimum_us + bounds.step_us
             self._peaks, self._spoiled, self._reported = [], False, 0
             return self._state.exposures_us
@@ -225,7 +225,7 @@ class SunExposures:
                 self._peaks.append(exposure.Peak(exposure_us=frame.exposure_us, fraction=detection.peak_fraction))
             self._spoiled |= burnt and frame.exposure_us <= self._shortest_us
 
-    def _publish(self, state: exposure.SunExposureState, bounds: exposure.ExposureBounds) -> None:
+    def _publish_state(self, state: exposure.SunExposureState, bounds: exposure.ExposureBounds) -> None:
         if self.board is None:
             return
         if state.cycles_spoiled >= SPOILED_AFTER:

@@ -80,14 +80,14 @@ class FeedComparison:
 
     def queue_differing(self, heartbeat: Callable[[], None]) -> bool:
         """Compare some days if it is time, and return whether rows were queued; a failure is tried again later."""
-        self._plan()
+        self._plan_comparison()
         if not self._windows or self.clock.monotonic() < self._not_before_s:
             return False
         try:
-            return self._compare(*self._windows[0], heartbeat)
+            return self._compare_days(*self._windows[0], heartbeat)
         except HubRefusal as refusal:
             if refusal.status in _WITHOUT_COMPARISON:
-                self._skip(f"the hub is of an older version ({refusal.status})")
+                self._skip_comparison(f"the hub is of an older version ({refusal.status})")
             failure = str(refusal)
         except OutsideError as error:
             failure = str(error)
@@ -95,7 +95,7 @@ class FeedComparison:
         self._not_before_s = self.clock.monotonic() + _AGAIN_S
         return False
 
-    def _plan(self) -> None:
+    def _plan_comparison(self) -> None:
         """Begin a night's work when it is time."""
         now = self.clock.now()
         begins_s = _BEGINS_S + zlib.crc32(self.camera.name.encode()) % _SPREAD_S
@@ -111,7 +111,7 @@ class FeedComparison:
         self._windows = deque(dict.fromkeys((one - _WINDOW, one) for one in (older, end, today)))
         self._sent_again.clear()
 
-    def _compare(self, since: date, until: date, heartbeat: Callable[[], None]) -> bool:
+    def _compare_days(self, since: date, until: date, heartbeat: Callable[[], None]) -> bool:
         """Compare the days of a window, as many as either side reads at once, and queue the rows that differ."""
         outbox = self.camera.archive.outbox
         own = outbox.digests(self.camera.name, since=since, until=until)
@@ -120,14 +120,16 @@ class FeedComparison:
         heartbeat()
         stored = self.ask(outbox.position().installation, since, own.until, heartbeat)
         if stored.revision != head_revision():
-            self._skip(f"the hub's tables are of revision {stored.revision}, this imager's of {head_revision()}")
+            self._skip_comparison(
+                f"the hub's tables are of revision {stored.revision}, this imager's of {head_revision()}"
+            )
             return False
         if not since < stored.until <= own.until:
             raise HubAnswerError(f"days until {stored.until} where those of {since} to {own.until} were asked for")
         self.compared_at, self._skipped = self.clock.now(), ""
-        differing = dict(self._differing(own, stored, since))
-        again = {key: pair for key, pair in differing.items() if self._goes_again(key, pair)}
-        self._judge({key: pair for key, pair in differing.items() if key not in again})
+        differing = dict(self._list_differing(own, stored, since))
+        again = {key: pair for key, pair in differing.items() if self._is_to_be_resent(key, pair)}
+        self._report_still_differing({key: pair for key, pair in differing.items() if key not in again})
         found_sound = {key for key in self._lacking if since <= key[1] < stored.until} - differing.keys()
         self._show_lacking(self._lacking - found_sound)
         if again:  # first of all: what could not be queued is compared again
@@ -140,13 +142,15 @@ class FeedComparison:
             return False
         self._windows.append((since, stored.until))  # once more, when they were sent
         kinds, n_rows = ", ".join(sorted({kind for kind, _ in again})), sum(pair.own.n for pair in again.values())
-        self._say(Finding("hub_rows_sent_again", {"kinds": kinds, "n_rows": n_rows, **_count_days(again)}), "warning")
+        self._write_event(
+            Finding("hub_rows_sent_again", {"kinds": kinds, "n_rows": n_rows, **_count_days(again)}), "warning"
+        )
         return True
 
-    def _goes_again(self, key: KindDay, pair: _OwnAndHub) -> bool:
+    def _is_to_be_resent(self, key: KindDay, pair: _OwnAndHub) -> bool:
         return pair.own.n > 0 and key not in self._sent_again and self._others.get(key) != pair
 
-    def _differing(self, own: DayDigests, stored: StoredDays, since: date) -> Iterator[tuple[KindDay, _OwnAndHub]]:
+    def _list_differing(self, own: DayDigests, stored: StoredDays, since: date) -> Iterator[tuple[KindDay, _OwnAndHub]]:
         """Yield the kinds and days that differ, but for days of which the hub keeps no sightings any more."""
         kept_since = self.clock.now().astimezone(UTC).date() - LEAST_KEPT
         for kind, days in own.days.items():
@@ -159,13 +163,13 @@ class FeedComparison:
                     continue
                 yield (kind, day), _OwnAndHub(here, there)
 
-    def _judge(self, after: dict[KindDay, _OwnAndHub]) -> None:
+    def _report_still_differing(self, after: dict[KindDay, _OwnAndHub]) -> None:
         """Report the rows that differ though they were sent again."""
         others = {key: pair for key, pair in after.items() if pair.hub.n > pair.own.n}
         new = {key: pair for key, pair in others.items() if self._others.get(key) != pair}
         if new:
             n_rows = sum(pair.hub.n - pair.own.n for pair in new.values())
-            self._say(Finding("hub_has_other_rows", {"n_rows": n_rows, **_count_days(new)}), "warning")
+            self._write_event(Finding("hub_has_other_rows", {"n_rows": n_rows, **_count_days(new)}), "warning")
         self._others |= others
         self._show_lacking(self._lacking | (after.keys() - others.keys()))
 
@@ -177,14 +181,14 @@ class FeedComparison:
             found = condition(_LACKS, n_days=len(lacking), kind=first[0], first=first[1].isoformat())
         self.board.set_condition(_LACKS, found)
 
-    def _say(self, found: Finding, severity: EventSeverity) -> None:
+    def _write_event(self, found: Finding, severity: EventSeverity) -> None:
         self.camera.add_event(found, time=self.clock.now(), severity=severity)
 
-    def _skip(self, reason: str) -> None:
+    def _skip_comparison(self, reason: str) -> None:
         """Compare nothing until the next night, and write an event once."""
         self._windows.clear()
         if reason != self._skipped:
-            self._say(Finding("hub_not_compared", {"reason": reason}), "info")
+            self._write_event(Finding("hub_not_compared", {"reason": reason}), "info")
         self._skipped = reason
 
 
@@ -253,14 +257,14 @@ class FeedWorker:
     def step(self, heartbeat: Callable[[], None]) -> float:
         """Send once, and return the seconds until the next time: no less than the hub asks for."""
         try:
-            pause_s = self._attempts.attempt(partial(self._send_some, heartbeat))
+            pause_s = self._attempts.attempt(partial(self._send_or_report, heartbeat))
         except HubRefusal as refusal:  # the hub answers, and an operator has to do something; it is tried all the same
             self._attempts.answered()
             self.board.set_condition(_REFUSED, condition(_REFUSED, status=refusal.status, error=str(refusal)))
             pause_s = self._attempts.failed(str(refusal))
         return max(pause_s, self.asked_s())
 
-    def _send_some(self, heartbeat: Callable[[], None]) -> float | None:
+    def _send_or_report(self, heartbeat: Callable[[], None]) -> float | None:
         try:
             more = self._send_next(heartbeat)
         except HubAnswerError as error:
@@ -276,10 +280,10 @@ class FeedWorker:
         if self.clock.monotonic() - self._status_s >= _STATUS_EVERY_S:
             if outbox.enable():  # also when the database was put together anew, which takes its triggers away
                 _log.info("all rows of the archive are queued for the hub")
-            outbox.queue_status(self._status())
+            outbox.queue_status(self._make_status())
             self._status_s = self.clock.monotonic()
         if self._agreed is None or outbox.position() != self._agreed:
-            self._agree(heartbeat)
+            self._ask_position(heartbeat)
             if self.asked_s() > 0.0:
                 return False
         position, self._agreed = self._agreed, None
@@ -287,11 +291,11 @@ class FeedWorker:
         if position is None or rows is None:
             return True  # the database was put back meanwhile
         if rows:
-            self._follow(position, self._sent(position, rows, heartbeat), heartbeat)
+            self._advance(position, self._send_rows(position, rows, heartbeat), heartbeat)
         self._agreed = outbox.position()
         return bool(rows) or self._comparison.queue_differing(heartbeat)
 
-    def _agree(self, heartbeat: Callable[[], None]) -> None:
+    def _ask_position(self, heartbeat: Callable[[], None]) -> None:
         """Ask the hub up to which row it has stored, and continue from there.
 
         Until it has answered no number counts as sent: a database that was put back to an earlier copy knows of less
@@ -301,9 +305,9 @@ class FeedWorker:
         position = outbox.position()
         committed = self.send(replace(position, committed=-1), (), heartbeat)
         if committed > position.sent:
-            self._begin_anew(position, committed, heartbeat)
+            self._begin_new_installation(position, committed, heartbeat)
         elif committed > position.committed:
-            self._acknowledge(committed)
+            self._remove_committed(committed)
         elif committed < position.committed:
             _log.warning(
                 "the hub has rows up to %d, and had them up to %d: all go again", committed, position.committed
@@ -311,7 +315,7 @@ class FeedWorker:
             outbox.send_again(committed=committed)
         self._agreed = outbox.position()
 
-    def _begin_anew(self, position: OutboxPosition, committed: int, heartbeat: Callable[[], None]) -> None:
+    def _begin_new_installation(self, position: OutboxPosition, committed: int, heartbeat: Callable[[], None]) -> None:
         """Go on under a new id, with all rows: the hub has rows of this one that were never sent from here.
 
         A hub has nothing under the new id, and wants an operator to accept it; another answer is no hub's.
@@ -335,7 +339,7 @@ class FeedWorker:
         if refused is not None:
             raise refused
 
-    def _sent(self, position: OutboxPosition, rows: Sequence[FeedRow], heartbeat: Callable[[], None]) -> int:
+    def _send_rows(self, position: OutboxPosition, rows: Sequence[FeedRow], heartbeat: Callable[[], None]) -> int:
         """Send rows, the next time fewer where they took too long or were too large, and more where it was quick.
 
         One that is too large for the hub goes as its number alone, and the hub sets that apart.
@@ -351,26 +355,26 @@ class FeedWorker:
                 raise
             if len(rows) > 1:
                 self._most_rows = max(len(rows) // 2, 1)
-                return self._sent(position, rows[: self._most_rows], heartbeat)
+                return self._send_rows(position, rows[: self._most_rows], heartbeat)
             committed = self.send(position, [replace(rows[0], data=None)], heartbeat)
         if self.clock.monotonic() - begun_s <= _QUICK_S:
             self._most_rows = min(2 * self._most_rows, _MOST_ROWS)
         return committed
 
-    def _follow(self, position: OutboxPosition, committed: int, heartbeat: Callable[[], None]) -> None:
+    def _advance(self, position: OutboxPosition, committed: int, heartbeat: Callable[[], None]) -> None:
         """Remove the rows that the hub has stored, or ask where it stands if that is not after `position`."""
         if committed > position.committed:
-            self._acknowledge(committed)
+            self._remove_committed(committed)
             return
-        self._agree(heartbeat)
+        self._ask_position(heartbeat)
         if self._agreed == self.camera.archive.outbox.position() and self._agreed.committed == position.committed:
             raise HubAnswerError(f"{committed} where rows after {position.committed} were sent")
 
-    def _acknowledge(self, committed: int) -> None:
+    def _remove_committed(self, committed: int) -> None:
         if not self.camera.archive.outbox.acknowledge(committed):
             raise HubAnswerError(f"the number {committed}, of no row that was sent")
 
-    def _status(self) -> Mapping[str, Any]:
+    def _make_status(self) -> Mapping[str, Any]:
         """Return the fleet page's row of this imager."""
         board = self.board.snapshot()
         days = self.camera.archive.days.find(self.camera.name, limit=1)

@@ -96,10 +96,10 @@ class Trust:
         return context
 
     def _present_stamps(self) -> list[tuple[int, int, int] | None]:
-        return [_stamp(file) for file in self._files]
+        return [_read_stamp(file) for file in self._files]
 
 
-def _stamp(file: Path) -> tuple[int, int, int] | None:
+def _read_stamp(file: Path) -> tuple[int, int, int] | None:
     try:
         found = file.stat()
     except OSError:
@@ -204,12 +204,12 @@ def fetch(request: HttpRequest, *, context: ssl.SSLContext | None, limit: Limit,
             headers=[(name.encode("ascii"), value.encode("latin-1")) for name, value in lines.items()],
         )
         try:
-            return _answer(channel, [head, h11.Data(data=request.body), h11.EndOfMessage()], limit, most_bytes)
+            return _exchange_events(channel, [head, h11.Data(data=request.body), h11.EndOfMessage()], limit, most_bytes)
         except OSError as error:
             raise UnfinishedError(str(error)) from error
 
 
-def _answer(channel: socket.socket, events: list[h11.Event], limit: Limit, most_bytes: int) -> HttpAnswer:
+def _exchange_events(channel: socket.socket, events: list[h11.Event], limit: Limit, most_bytes: int) -> HttpAnswer:
     connection = h11.Connection(h11.CLIENT, max_incomplete_event_size=_PART_BYTES)
     with suppress(BrokenPipeError, ConnectionResetError):  # who refuses early may close before all is read
         limit.write(channel, b"".join(connection.send(event) or b"" for event in events))
@@ -268,7 +268,7 @@ def _connect_host(host: str, port: int, limit: Limit) -> socket.socket:
 def _open_tunnel(channel: socket.socket, target: str, limit: Limit) -> None:
     """Ask a proxy to pass the connection on to a host and port."""
     events: list[h11.Event] = [h11.Request(method="CONNECT", target=target, headers=[("host", target)])]
-    status = _answer(channel, [*events, h11.EndOfMessage()], limit, 0).status
+    status = _exchange_events(channel, [*events, h11.EndOfMessage()], limit, 0).status
     if status != 200:
         raise OSError(f"the proxy answers {status}")
 
@@ -324,7 +324,7 @@ def authorization(login: tuple[str, str], challenges: Sequence[Challenge], *, me
     method, uri : of the request.
     """
     digests = [one for one in challenges if one.scheme == "digest"]
-    answers = (_digest(login, one.parameters, method=method, uri=uri) for one in digests)
+    answers = (_answer_digest(login, one.parameters, method=method, uri=uri) for one in digests)
     answered = next((one for one in answers if one is not None), None)
     if answered is not None or digests:
         return answered
@@ -333,12 +333,12 @@ def authorization(login: tuple[str, str], challenges: Sequence[Challenge], *, me
     return f"Basic {base64.b64encode(':'.join(login).encode()).decode()}"
 
 
-def _md5(content: bytes) -> str:
+def _hash_md5(content: bytes) -> str:
     return hashlib.md5(content, usedforsecurity=False).hexdigest()
 
 
 _HASHES: Mapping[str, Callable[[bytes], str]] = {
-    "md5": _md5,
+    "md5": _hash_md5,
     "sha": lambda content: hashlib.sha1(content, usedforsecurity=False).hexdigest(),
     "sha-256": lambda content: hashlib.sha256(content).hexdigest(),
     "sha-512-256": lambda content: hashlib.new("sha512_256", content).hexdigest(),
@@ -346,7 +346,7 @@ _HASHES: Mapping[str, Callable[[bytes], str]] = {
 _SESSION = "-sess"
 
 
-def _digest(login: tuple[str, str], parameters: Mapping[str, str], *, method: str, uri: str) -> str | None:
+def _answer_digest(login: tuple[str, str], parameters: Mapping[str, str], *, method: str, uri: str) -> str | None:
     """Return the answer to a Digest challenge; None where it is incomplete, or its algorithm is not known."""
     realm, nonce = parameters.get("realm"), parameters.get("nonce")
     algorithm = parameters.get("algorithm") or "MD5"
@@ -358,17 +358,17 @@ def _digest(login: tuple[str, str], parameters: Mapping[str, str], *, method: st
     if offered and qop is None:
         return None
 
-    def hashed(*parts: str) -> str:
+    def hash_parts(*parts: str) -> str:
         return hash_content(":".join(parts).encode("latin-1"))
 
     user, password, uri = (part.encode().decode("latin-1") for part in (*login, uri))  # UTF-8 on the wire
     once, count = secrets.token_hex(8), "00000001"
-    secret = hashed(user, realm, password)
+    secret = hash_parts(user, realm, password)
     if algorithm.lower().endswith(_SESSION):
-        secret = hashed(secret, nonce, once)
-    request = hashed(method, uri, hash_content(b"")) if qop == "auth-int" else hashed(method, uri)
+        secret = hash_parts(secret, nonce, once)
+    request = hash_parts(method, uri, hash_content(b"")) if qop == "auth-int" else hash_parts(method, uri)
     numbered = [] if qop is None else [count, once, qop]
-    response = hashed(secret, nonce, *numbered, request)
+    response = hash_parts(secret, nonce, *numbered, request)
     given = {"username": user, "realm": realm, "nonce": nonce, "uri": uri, "response": response}
     if "opaque" in parameters:
         given["opaque"] = parameters["opaque"]

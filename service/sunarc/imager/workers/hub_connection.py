@@ -113,11 +113,11 @@ class HubConnection:
         within_s = _WITHIN_S + (len(body) / _LEAST_BYTES_PER_S if len(rows) == 1 else 0.0)
         limit = Limit(within_s, monotonic=self._clock.monotonic, heartbeat=heartbeat)
         query = f"after={position.committed}"
-        answer = self._exchange("PUT", query, position.installation, limit, body=body, headers=headers)
+        answer = self._exchange_with_hub("PUT", query, position.installation, limit, body=body, headers=headers)
         asked = answer.headers.get("retry-after", "")
         asked_s = float(asked) if asked.isdecimal() else 0.0  # a date is no hub's
         self._asked_until_s = self._clock.monotonic() + min(asked_s, _LONGEST_ASKED_S)
-        number = _parsed(answer).get("committed")
+        number = _parse_answer(answer).get("committed")
         if type(number) is not int or not -1 <= number < 2**63:
             raise HubAnswerError(f"{_quote_body(answer.body)}, which has no number `committed` from -1 on")
         return number
@@ -130,13 +130,13 @@ class HubConnection:
         HubRefusal, HubUnfinishedError, HubAnswerError, OutsideError : as of `send`.
         """
         limit = Limit(_WITHIN_S, monotonic=self._clock.monotonic, heartbeat=heartbeat)
-        answer = self._exchange("GET", f"since={since}&until={until}", installation, limit)
+        answer = self._exchange_with_hub("GET", f"since={since}&until={until}", installation, limit)
         try:
-            return _STORED_DAYS.validate_python(_parsed(answer))
+            return _STORED_DAYS.validate_python(_parse_answer(answer))
         except ValidationError:
             raise HubAnswerError(f"{_quote_body(answer.body)}, which says nothing of days") from None
 
-    def _exchange(  # noqa: PLR0917 - of a request
+    def _exchange_with_hub(  # noqa: PLR0917 - of a request
         self,
         method: str,
         query: str,
@@ -166,10 +166,10 @@ class HubConnection:
             raise OutsideError(f"the hub {self._url}: {error}") from error
 
 
-def _parsed(answer: HttpAnswer) -> dict[str, Any]:
+def _parse_answer(answer: HttpAnswer) -> dict[str, Any]:
     """Return the JSON object of an answer."""
     if not HTTPStatus.OK <= answer.status < HTTPStatus.MULTIPLE_CHOICES:
-        raise _failure(answer.status, answer.body)
+        raise _make_failure(answer.status, answer.body)
     found = parsed_json(answer.body)
     if not isinstance(found, dict):
         raise HubAnswerError(f"{_quote_body(answer.body)}, which is no JSON object")
@@ -180,7 +180,7 @@ def _quote_body(body: bytes) -> str:
     return repr(body[:_MOST_QUOTED].decode("utf-8", "replace"))
 
 
-def _failure(status: int, body: bytes) -> HubRefusal | OutsideError:
+def _make_failure(status: int, body: bytes) -> HubRefusal | OutsideError:
     try:
         text = str(json.loads(body)["detail"])
     except (ValueError, KeyError, TypeError):

@@ -87,7 +87,7 @@ class RepeatedImages:
             if found is not None:
                 return found
         if self._images:
-            self._learn(tiles, self._images[-1][1])
+            self._learn_noise(tiles, self._images[-1][1])
         self._images.append((time, tiles))
         if sun is not None:
             self.remember_sun(time, sun)
@@ -103,9 +103,9 @@ class RepeatedImages:
             return Repetition(before, is_sure=True)
         if sun is None or not is_same_sun(now, image, sun) or not sun_moved(before, time, self._site):
             return None
-        return Repetition(before, is_sure=noisy or (apart >= _GLARE_CHANGES and self._had_come(before, sun)))
+        return Repetition(before, is_sure=noisy or (apart >= _GLARE_CHANGES and self._is_on_earlier_path(before, sun)))
 
-    def _had_come(self, time: datetime, sun: tuple[float, float]) -> bool:
+    def _is_on_earlier_path(self, time: datetime, sun: tuple[float, float]) -> bool:
         """Return whether the sun's places of the hour before a time led to its place in that image."""
         track = [(-(time - at).total_seconds(), x, y) for at, x, y in self._suns if time - _TRACK <= at < time]
         if len(track) < _FEWEST_SUNS:
@@ -118,7 +118,7 @@ class RepeatedImages:
         off_px = float(np.hypot(*(lines[1] - np.array(sun))))
         return moved_px >= max(_LEAST_MOVED_PX, _OFF_SIGMAS * sigma_px) and off_px <= _OFF_PX + _OFF_SIGMAS * sigma_px
 
-    def _learn(self, now: ImageTiles, before: ImageTiles) -> None:
+    def _learn_noise(self, now: ImageTiles, before: ImageTiles) -> None:
         """Learn the noise from images that have nothing in common; changing light may be another cause."""
         shared = shared_texture(now, before)
         if shared is None:

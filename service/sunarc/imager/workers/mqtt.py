@@ -79,8 +79,8 @@ class MqttBroker:
     def publish_states(self, heartbeat: Callable[[], None]) -> None:
         """Keep the connection, and publish the changes of the cameras' states; a long message goes on next time."""
         self._heartbeat = heartbeat
-        client = self._connect()
-        self._turn(client, 0.0)
+        client = self._get_connection()
+        self._handle_network(client, 0.0)
         until_s = self.clock.monotonic() + _REFRESH_S
         under_way: deque[MQTTMessageInfo] = deque()
         for camera, state in self.states().items():
@@ -90,7 +90,7 @@ class MqttBroker:
                 break
             for topic, payload in retained(camera, state, availability=self._availability):
                 if self._kept.get(topic) != payload:
-                    under_way.append(self._send(client, topic, payload, retain=True))
+                    under_way.append(self._send_message(client, topic, payload, retain=True))
                     self._kept[topic] = payload
             self._shown[camera] = state  # where a receipt does not come, the connection and all this is dropped
             while len(under_way) > _UNDER_WAY:
@@ -110,7 +110,9 @@ class MqttBroker:
     def deliver(self, notice: Notice, heartbeat: Callable[[], None]) -> None:
         """Publish a notice, and wait for the broker's receipt."""
         self._heartbeat = heartbeat
-        self._publish(self._connect(), f"{camera_topic(notice.camera)}/events", json.dumps(make_push_message(notice)))
+        self._publish_and_wait(
+            self._get_connection(), f"{camera_topic(notice.camera)}/events", json.dumps(make_push_message(notice))
+        )
 
     def close(self, *, graceful: bool) -> None:
         """End the connection: `graceful` after the message that the service is offline; else the broker sends that."""
@@ -121,7 +123,7 @@ class MqttBroker:
             return
         if graceful:
             try:
-                self._publish(client, self._availability, _OFFLINE, retain=True)
+                self._publish_and_wait(client, self._availability, _OFFLINE, retain=True)
                 client.disconnect()
                 client.loop(_TURN_S)
             except (OutsideError, OSError, ValueError):
@@ -129,11 +131,11 @@ class MqttBroker:
         elif (channel := client.socket()) is not None:
             channel.close()
 
-    def _connect(self) -> Client:
+    def _get_connection(self) -> Client:
         if self._connection is None:
             client = self._new_client()
             client.will_set(self._availability, _OFFLINE, qos=1, retain=True)
-            self._publish(self._log_in(client), self._availability, _ONLINE, retain=True)
+            self._publish_and_wait(self._log_in(client), self._availability, _ONLINE, retain=True)
             return client
         return self._connection
 
@@ -143,7 +145,7 @@ class MqttBroker:
         except (OSError, ValueError) as error:
             raise OutsideError(f"broker {self._host}: {error}") from error
         self._connection = client
-        self._until(client, lambda: bool(self._accepted), "did not answer")
+        self._wait_until(client, lambda: bool(self._accepted), "did not answer")
         if self._accepted[0] is not None:
             raise OutsideError(f"broker {self._host} refuses: {self._accepted[0]}")
         return client
@@ -166,28 +168,28 @@ class MqttBroker:
         client.on_connect = on_connect
         return client
 
-    def _publish(self, client: Client, topic: str, payload: str, *, retain: bool = False) -> None:
-        self._wait_for(client, self._send(client, topic, payload, retain=retain))
+    def _publish_and_wait(self, client: Client, topic: str, payload: str, *, retain: bool = False) -> None:
+        self._wait_for(client, self._send_message(client, topic, payload, retain=retain))
 
-    def _send(self, client: Client, topic: str, payload: str, *, retain: bool) -> MQTTMessageInfo:
+    def _send_message(self, client: Client, topic: str, payload: str, *, retain: bool) -> MQTTMessageInfo:
         info: MQTTMessageInfo = client.publish(topic, payload, qos=1, retain=retain)
         if info.rc != self._mqtt.MQTT_ERR_SUCCESS:
             raise OutsideError(f"broker {self._host}: {self._mqtt.error_string(info.rc)}")
         return info
 
     def _wait_for(self, client: Client, info: MQTTMessageInfo, *, until_s: float = math.inf) -> None:
-        self._until(client, info.is_published, "confirmed no receipt", until_s=until_s)
+        self._wait_until(client, info.is_published, "confirmed no receipt", until_s=until_s)
 
-    def _until(self, client: Client, done: Callable[[], bool], problem: str, *, until_s: float = math.inf) -> None:
+    def _wait_until(self, client: Client, done: Callable[[], bool], problem: str, *, until_s: float = math.inf) -> None:
         begun_s = self.clock.monotonic()
         while not done():
             self._heartbeat()
             if self.clock.monotonic() > min(begun_s + _WITHIN_S, until_s):
                 waited_s = self.clock.monotonic() - begun_s
                 raise OutsideError(f"broker {self._host} {problem} within {waited_s:.1f} s")
-            self._turn(client, _TURN_S)
+            self._handle_network(client, _TURN_S)
 
-    def _turn(self, client: Client, wait_s: float) -> None:
+    def _handle_network(self, client: Client, wait_s: float) -> None:
         """Read and write the pending bytes of the connection once."""
         code = client.loop(wait_s)
         if code != self._mqtt.MQTT_ERR_SUCCESS:

@@ -48,7 +48,7 @@ class PushOptions:
         if self.mqtt is not None:
             parts = _check_url("push.mqtt", self.mqtt, ("mqtt", "mqtts"))
             if parts.path.strip("/"):
-                raise _refusal("push.mqtt", self.mqtt, "give one as mqtts://broker.example")
+                raise _make_refusal("push.mqtt", self.mqtt, "give one as mqtts://broker.example")
         for url in self.webhooks:
             _check_url("push.webhooks", url, ("http", "https"))
         if len(self.webhooks) > _MOST_WEBHOOKS or len(set(self.webhooks)) < len(self.webhooks):
@@ -65,16 +65,16 @@ def _check_url(field: str, url: str, schemes: tuple[str, ...]) -> urllib.parse.S
         parts = urllib.parse.urlsplit(url)
         port = parts.port
     except ValueError:
-        raise _refusal(field, url, remedy) from None
+        raise _make_refusal(field, url, remedy) from None
     printable = url.isascii() and url.isprintable() and " " not in url
     if parts.scheme not in schemes or not parts.hostname or port == 0 or parts.fragment or not printable:
-        raise _refusal(field, url, remedy)
+        raise _make_refusal(field, url, remedy)
     if parts.username is not None:
         raise InputError(field=field, problem="has a password in the address", remedy="put it in a file of its own")
     return parts
 
 
-def _refusal(field: str, value: str, remedy: str) -> InputError:
+def _make_refusal(field: str, value: str, remedy: str) -> InputError:
     return InputError(field=field, problem=f"{value!r} is not an address", remedy=remedy)
 
 
@@ -82,7 +82,7 @@ def read_login(path: Path | None, *, setting: str) -> tuple[str, str] | None:
     """Return user and password of a file that a setting names; None without a file."""
     if path is None:
         return None
-    user, colon, password = _line(setting, path).partition(":")
+    user, colon, password = _read_line(setting, path).partition(":")
     if not user or not colon or "\n" in password:
         raise ConfigurationError(f"{setting} {path}: is not USER:PASSWORD in one line")
     return user, password
@@ -90,7 +90,7 @@ def read_login(path: Path | None, *, setting: str) -> tuple[str, str] | None:
 
 def read_secret(path: Path | None) -> bytes:
     """Return the key that messages to webhooks are signed with."""
-    text = "" if path is None else _line("push.webhook_secret_file", path)
+    text = "" if path is None else _read_line("push.webhook_secret_file", path)
     key = text.encode()
     if text.startswith(_SECRET_PREFIX):
         try:
@@ -104,7 +104,7 @@ def read_secret(path: Path | None) -> bytes:
     return key
 
 
-def _line(setting: str, path: Path) -> str:
+def _read_line(setting: str, path: Path) -> str:
     try:
         return read_regular(path, most_bytes=MOST_SECRET_BYTES).decode("utf-8").strip()
     except (OSError, UnicodeDecodeError) as error:

@@ -108,12 +108,12 @@ class PushWorker:
     def step(self, stop: threading.Event, heartbeat: Callable[[], None]) -> float:
         """Send the waiting messages, and return the seconds until the next time."""
         try:
-            return self._attempts.attempt(partial(self._send_some, stop, heartbeat))
+            return self._attempts.attempt(partial(self._send_or_report, stop, heartbeat))
         except (ConfigurationError, InputError) as error:
-            self._show(_UNUSABLE, make_condition(_UNUSABLE, self.sink.name, error=str(error)))
+            self._set_condition(_UNUSABLE, make_condition(_UNUSABLE, self.sink.name, error=str(error)))
             return _LONGEST_WAIT_S
 
-    def _send_some(self, stop: threading.Event, heartbeat: Callable[[], None]) -> float | None:
+    def _send_or_report(self, stop: threading.Event, heartbeat: Callable[[], None]) -> float | None:
         try:
             self.sink.publish_states(heartbeat)
             notices = self.archive.notices.after(self.sink.name, limit=_MOST_AT_ONCE)
@@ -121,28 +121,28 @@ class PushWorker:
                 heartbeat()
                 if stop.is_set():
                     break
-                self._deliver(notice, heartbeat)
+                self._deliver_notice(notice, heartbeat)
         except (OutsideError, ConfigurationError, InputError):
             self.sink.close(graceful=False)
             raise
-        self._show(_UNUSABLE, None)
+        self._set_condition(_UNUSABLE, None)
         return 0.0 if len(notices) == _MOST_AT_ONCE else None
 
-    def _deliver(self, notice: Notice, heartbeat: Callable[[], None]) -> None:
+    def _deliver_notice(self, notice: Notice, heartbeat: Callable[[], None]) -> None:
         try:
             self.sink.deliver(notice, heartbeat)
         except NoticeRefusedError as refusal:
             self.archive.notices.done(self.sink.name, notice.seq, refused=True)
             n = self.archive.notices.sink_states()[self.sink.name].refused
             reason = make_condition(_REFUSED, self.sink.name, n=n, kind=notice.kind, error=str(refusal))
-            self._show(_REFUSED, reason)
+            self._set_condition(_REFUSED, reason)
             _log.warning("%s refused message %s (%s): %s", self.sink.name, notice.id, notice.kind, refusal)
         else:
             self.archive.notices.done(self.sink.name, notice.seq)
-            self._show(_REFUSED, None)
+            self._set_condition(_REFUSED, None)
         self._attempts.succeeded()
 
-    def _show(self, code: str, reason: Reason | None) -> None:
+    def _set_condition(self, code: str, reason: Reason | None) -> None:
         self.board.set_condition(worker_code(code, self.sink.name), reason)
 
 
@@ -201,9 +201,9 @@ class NoticeWorker:
         self.latest = latest
         if self.clock.monotonic() - self._dropped_s >= _DROP_EVERY_S:
             self._dropped_s = self.clock.monotonic()
-            self._drop()
+            self._drop_oldest()
 
-    def _drop(self) -> None:
+    def _drop_oldest(self) -> None:
         lost = self.archive.notices.drop(most=_MOST_WAITING)
         if lost:
             _log.error("removed %d messages that a receiver did not take for too long", lost)
@@ -251,7 +251,7 @@ class Webhook:
         request = http_exchange.HttpRequest(method="POST", url=self._url, headers={}, body=b"")
         try:
             with http_exchange.exchange_errors():
-                http_exchange.connected(request, self._context(), self._limit(lambda: None)).close()
+                http_exchange.connected(request, self._get_tls_context(), self._new_limit(lambda: None)).close()
         except (OSError, http_exchange.UnfinishedError) as error:
             raise OutsideError(f"{self._url.hostname}: {error}") from error
 
@@ -272,7 +272,9 @@ class Webhook:
         }
         request = http_exchange.HttpRequest(method="POST", url=self._url, headers=headers, body=body)
         try:
-            status = http_exchange.fetch(request, context=self._context(), limit=self._limit(heartbeat)).status
+            status = http_exchange.fetch(
+                request, context=self._get_tls_context(), limit=self._new_limit(heartbeat)
+            ).status
         except (OSError, http_exchange.UnfinishedError) as error:
             raise OutsideError(f"{self._url.hostname}: {error}") from error
         if HTTPStatus.OK <= status < HTTPStatus.MULTIPLE_CHOICES:
@@ -281,13 +283,13 @@ class Webhook:
             raise OutsideError(f"{self._url.hostname} answers {status}")
         raise NoticeRefusedError(f"{self._url.hostname} answers {status}")
 
-    def _context(self) -> ssl.SSLContext | None:
+    def _get_tls_context(self) -> ssl.SSLContext | None:
         return None if self._trust is None else self._trust.context()
 
     def _read_key(self) -> None:
         self._key = self._key or read_secret(self.secret_file)
 
-    def _limit(self, heartbeat: Callable[[], None]) -> http_exchange.Limit:
+    def _new_limit(self, heartbeat: Callable[[], None]) -> http_exchange.Limit:
         return http_exchange.Limit(_WITHIN_S, monotonic=self.clock.monotonic, heartbeat=heartbeat)
 
 

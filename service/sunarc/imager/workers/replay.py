@@ -47,12 +47,12 @@ class ReplayWorker:
         try:
             with closing(self.open_camera()) as camera:
                 self.board.note(camera=CameraStatus(name=self.name, connected=True, address=camera.info.address))
-                self._play(camera, loop)
+                self._play_folder(camera, loop)
         except (ConfigurationError, InputError) as error:
             CaptureReport(self.board, name=self.name).refused(error)
         loop.every(_POLL_S, lambda: None)
 
-    def _play(self, camera: SkyCamera, loop: Loop) -> None:
+    def _play_folder(self, camera: SkyCamera, loop: Loop) -> None:
         for _ in loop.turns():
             try:
                 frame = camera.expose(0.0)
@@ -62,9 +62,9 @@ class ReplayWorker:
             self.frame_time.note(frame.time)
             self.board.note(last_frame_at=frame.time)
             if frame.exposure_us < _SUN_EXPOSURE_BELOW_US:
-                self._hand_on(frame, loop)
+                self._queue_frame(frame, loop)
 
-    def _hand_on(self, frame: Frame, loop: Loop) -> None:
+    def _queue_frame(self, frame: Frame, loop: Loop) -> None:
         while self.sun_frames.full and not loop.wait(_POLL_S):
             pass
         self.sun_frames.put(frame)

@@ -65,15 +65,15 @@ class DiskWorker:
 
     def check(self) -> float:
         """Check once, and return the seconds until the next time; a folder that cannot be read becomes a condition."""
-        return self._attempts.attempt(self._check)
+        return self._attempts.attempt(self._check_disk_and_database)
 
-    def _check(self) -> None:
+    def _check_disk_and_database(self) -> None:
         try:
-            self._clean()
+            self._clean_up()
         except OSError as error:
             raise OutsideError(str(error)) from error
 
-    def _clean(self) -> None:
+    def _clean_up(self) -> None:
         now = self.age_from()
         if now is not None:
             keep = self.options.keep_days
@@ -83,9 +83,9 @@ class DiskWorker:
         has_space = self.store.make_room()
         usage = self.store.usage()
         self.reserve.balance(usage.free_bytes)
-        self._publish(usage, has_space=has_space)
+        self._publish_condition(usage, has_space=has_space)
 
-    def _publish(self, usage: DiskUsage, *, has_space: bool) -> None:
+    def _publish_condition(self, usage: DiskUsage, *, has_space: bool) -> None:
         self.board.note(
             disk=DiskStatus(
                 free_bytes=usage.free_bytes,
@@ -93,9 +93,9 @@ class DiskWorker:
                 oldest_image_at=usage.oldest_image_at,
             )
         )
-        self.board.set_one_condition(_DISK_CODES, self._reason(usage, has_space=has_space))
+        self.board.set_one_condition(_DISK_CODES, self._make_condition(usage, has_space=has_space))
 
-    def _reason(self, usage: DiskUsage, *, has_space: bool) -> Reason | None:
+    def _make_condition(self, usage: DiskUsage, *, has_space: bool) -> Reason | None:
         if usage.out_of_files:
             code = "disk_no_inodes"
         elif has_space:
@@ -147,7 +147,7 @@ class DatabaseWorker:
             reason=lambda error, _: condition(_MISSING, error=error),
         )
         if self.recovered is not None:
-            _publish(self.board, self.recovered)
+            _publish_condition(self.board, self.recovered)
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Check until stopped."""
@@ -155,23 +155,23 @@ class DatabaseWorker:
 
     def check(self) -> float:
         """Check once, and return the seconds until the next time."""
-        return self._attempts.attempt(self._check)
+        return self._attempts.attempt(self._check_disk_and_database)
 
-    def _check(self) -> None:
+    def _check_disk_and_database(self) -> None:
         seconds = self.archive.database.commits.slowest_s(_SLOW_WITHIN_S)
         slow = condition(_SLOW, seconds=seconds, waiting=self.waiting()) if seconds >= _SLOW_S else None
         self.board.set_condition(_SLOW, slow)
         done = self.archive.recover(now=self.clock.now())
         if done is not None:
             self.recovered = done
-            _publish(self.board, done)
-        self._report()
+            _publish_condition(self.board, done)
+        self._write_recovery_event()
 
-    def _report(self) -> None:
+    def _write_recovery_event(self) -> None:
         """Write the event of a recovery, as soon as it can be written."""
         if self.recovered is None:
             return
-        event = Event.of(_finding(self.recovered), time=self.now(), severity="alarm")
+        event = Event.of(_recovery_finding(self.recovered), time=self.now(), severity="alarm")
         try:
             self.archive.events.add(event)
         except OutsideError as error:
@@ -180,12 +180,12 @@ class DatabaseWorker:
             self.recovered = None
 
 
-def _finding(done: Recovery) -> Finding:
+def _recovery_finding(done: Recovery) -> Finding:
     return Finding(f"database_{done.kind}", {"text": done.text})
 
 
-def _publish(board: StatusRegistry, done: Recovery) -> None:
-    reason = Reason.of(_finding(done))
+def _publish_condition(board: StatusRegistry, done: Recovery) -> None:
+    reason = Reason.of(_recovery_finding(done))
     board.set_condition(reason.code, reason, log=False)
 
 
@@ -287,7 +287,7 @@ class HousekeepingWorker:
         """Take one sample, and store the sums when an hour has ended."""
         now = self.now()
         if now is not None:
-            self._sample(now)
+            self._take_sample(now)
         if self.clock.monotonic() - self._stored_s >= _STORE_EVERY_S or self._has_ended_hour():
             self.store()
 
@@ -295,7 +295,7 @@ class HousekeepingWorker:
         """Return whether an hour has just ended: a simulated one lasts seconds. Sums that failed wait their time."""
         return len(self._waiting) > 1 and not self._failed
 
-    def _sample(self, now: datetime) -> None:
+    def _take_sample(self, now: datetime) -> None:
         snapshot = self.board.snapshot()
         disk, degrees = snapshot.disk, None if snapshot.camera is None else snapshot.camera.temperature_c
         if disk is None and degrees is None:
@@ -363,7 +363,7 @@ class ConditionTimesWorker:
         self._settled_s = self.clock.monotonic() + SETTLED_S
         self._failed = False
         self._stored: Mapping[str, datetime] | None = None
-        self._resume()
+        self._restore_times()
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Store changed conditions until stopped."""
@@ -372,7 +372,7 @@ class ConditionTimesWorker:
     def step(self) -> None:
         """Store the changed conditions once; a failure is tried again at the next step."""
         if self._stored is None:
-            self._resume()
+            self._restore_times()
         if self._stored is None:
             return
         held = self._held_conditions(self._stored)
@@ -381,19 +381,19 @@ class ConditionTimesWorker:
         try:
             self.archive.conditions.save(self.camera, held)
         except OutsideError as error:
-            self._complain("could not store since when conditions hold, will retry: %s", error)
+            self._log_once("could not store since when conditions hold, will retry: %s", error)
         else:
             self._stored, self._failed = held, False
 
-    def _resume(self) -> None:
+    def _restore_times(self) -> None:
         try:
             self._stored = self.archive.conditions.times(self.camera)
         except OutsideError as error:
-            self._complain("could not read since when conditions hold, will retry: %s", error)
+            self._log_once("could not read since when conditions hold, will retry: %s", error)
         else:
             self.board.resume(self._stored, within_s=self._settled_s - self.clock.monotonic())
 
-    def _complain(self, text: str, error: OutsideError) -> None:
+    def _log_once(self, text: str, error: OutsideError) -> None:
         if not self._failed:
             _log.warning(text, error)
         self._failed = True

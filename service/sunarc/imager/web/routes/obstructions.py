@@ -114,16 +114,16 @@ def obstruction_routes(context: ApiContext) -> APIRouter:
             elevation_deg=[None if np.isnan(one) else round(one, 2) for one in profile.elevation_deg.tolist()],
             sigma_deg=[round(one, 2) for one in profile.sigma_deg.tolist()],
             openings_deg=[list(spans) for spans in profile.openings],
-            sun_paths=[_sun_path(found.time.year, month, site) for month in (6, 9, 12)],
+            sun_paths=[_compute_sun_path(found.time.year, month, site) for month in (6, 9, 12)],
             sun_h=[round(one, 1) for one in hours.up.tolist()],
             lost_h=[round(one, 1) for one in hours.lost.tolist()],
-            drawn=_drawn(context.of(request), found.mask),
+            drawn=_compare_with_drawn(context.of(request), found.mask),
         )
 
     return routes
 
 
-def _drawn(context: ApiContext, mask: ObstructionMask) -> DrawnMask | None:
+def _compare_with_drawn(context: ApiContext, mask: ObstructionMask) -> DrawnMask | None:
     try:
         drawn = drawn_mask(context, mask.grid.size)
     except OutsideError:
@@ -134,7 +134,7 @@ def _drawn(context: ApiContext, mask: ObstructionMask) -> DrawnMask | None:
     return DrawnMask(**{name: round(value, 3) for name, value in compared._asdict().items()})
 
 
-def _sun_path(year: int, month: int, site: Site) -> HorizonSunPath:
+def _compute_sun_path(year: int, month: int, site: Site) -> HorizonSunPath:
     day = datetime(year, month, 21, tzinfo=UTC)
     begins, ends = day_bounds_unix_s(day.date(), longitude=site.longitude)
     zenith, azimuth = angles_from_direction(sun_directions(np.arange(begins, ends, _EVERY_S), site))

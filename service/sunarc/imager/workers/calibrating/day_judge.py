@@ -112,15 +112,15 @@ class DayJudge:
         archive, name, waiting = self.camera.archive, self.camera.name, self.waiting()
         again = {day for day in set(self._again) if day < today and day not in waiting}
         since = min([self._judged_before, *again]) if self._judged_before is not None else None
-        judged = {day.date for day in archive.days.find(name, since=since) if self._stands(day)} - again
+        judged = {day.date for day in archive.days.find(name, since=since) if self._is_still_valid(day)} - again
         observed = archive.sightings.dates(name, longitude=longitude, since=since)
         due = [day for day in observed if day < today and day not in judged]
-        verdicts = [self._measure(day) for day in due if day not in waiting]
+        verdicts = [self._measure_day_of(day) for day in due if day not in waiting]
         worth = [day for day in verdicts if day.verdict in _WORTH_A_REFIT]
         if worth:
             self.request_refit("after " + ", ".join(f"{day.date} ({day.verdict})" for day in worth))
         for day in verdicts:
-            self._remember(day)
+            self._store_day(day)
         self._again -= again
         self._judged_before = min([today, *(day for day in due if day in waiting)])
         return verdicts
@@ -133,12 +133,12 @@ class DayJudge:
         """Have all earlier days without a verdict judged: sightings of them have arrived."""
         self._looks_back = True
 
-    def _stands(self, day: Day) -> bool:
+    def _is_still_valid(self, day: Day) -> bool:
         """Return whether a verdict still holds: given after its day had ended and before now, by a right clock."""
         end = utc_time(day_bounds_unix_s(day.date, longitude=self.camera.site.longitude)[1])
         return end <= day.decided_at <= self.now()
 
-    def _measure(self, date_: date) -> Day:
+    def _measure_day_of(self, date_: date) -> Day:
         start, end = day_bounds_unix_s(date_, longitude=self.camera.site.longitude)
         since, until, cadence_s = utc_time(start), utc_time(end), self.cadence_s()
         columns = self.camera.archive.sightings.columns(self.camera.name, since=since, until=until)
@@ -161,7 +161,7 @@ class DayJudge:
             doubtful_clock=share,
         )
         decided = decide_day(measure)
-        offset = self._pose_offset(columns) if decided.kind in _WORTH_A_REFIT else None
+        offset = self._measure_pose_offset(columns) if decided.kind in _WORTH_A_REFIT else None
         return Day(
             camera=self.camera.name,
             date=date_,
@@ -174,14 +174,16 @@ class DayJudge:
             decided_at=self.now(),
             arc_deg=measure.arc_deg,
             solid_angle_sr=measure.solid_angle_sr,
-            doubtful_clock=_finite(measure.doubtful_clock),
-            sd_px=_finite(measure.sd_px),
-            rmsd_px=_finite(measure.rmsd_px),
-            pose_offset_deg=None if offset is None else _triple(offset.rotation_deg[0]),
-            pose_offset_sigma_deg=None if offset is None else _triple(np.sqrt(np.diag(offset.covariance_deg2[0]))),
+            doubtful_clock=_finite_or_none(measure.doubtful_clock),
+            sd_px=_finite_or_none(measure.sd_px),
+            rmsd_px=_finite_or_none(measure.rmsd_px),
+            pose_offset_deg=None if offset is None else _float_triple(offset.rotation_deg[0]),
+            pose_offset_sigma_deg=None
+            if offset is None
+            else _float_triple(np.sqrt(np.diag(offset.covariance_deg2[0]))),
         )
 
-    def _pose_offset(self, columns: SunPointColumns) -> DailyRotations | None:
+    def _measure_pose_offset(self, columns: SunPointColumns) -> DailyRotations | None:
         """Return a day's rotation against the current calibration, where that is of the day's last pose epoch."""
         current = self.camera.archive.calibrations.current(self.camera.name)
         if current is None or not columns.epoch_ids or current.pose_epoch != columns.epoch_ids[-1]:
@@ -192,7 +194,7 @@ class DayJudge:
         last = columns.select(columns.epoch == len(columns.epoch_ids) - 1)
         return daily_pose_offset(columns_to_sightings(last), calibration=calibration, site=self.camera.site)
 
-    def _remember(self, day: Day) -> None:
+    def _store_day(self, day: Day) -> None:
         self.camera.archive.days.save(day)
         offsets = {"pose_offset_deg": day.pose_offset_deg, "pose_offset_sigma_deg": day.pose_offset_sigma_deg}
         numbers = {key: value for key, value in asdict(day).items() if isinstance(value, int | float)}
@@ -201,10 +203,10 @@ class DayJudge:
         self.camera.add_event(found, time=day.decided_at, severity="info", details=details)
 
 
-def _triple(values: FloatArray) -> tuple[float, float, float]:
+def _float_triple(values: FloatArray) -> tuple[float, float, float]:
     east, north, up = values.tolist()
     return east, north, up
 
 
-def _finite(value: float) -> float | None:
+def _finite_or_none(value: float) -> float | None:
     return value if math.isfinite(value) else None

@@ -58,7 +58,7 @@ class MoveConditions:
         try:
             revision = self.camera.archive.revision()
             if revision != self._revision:
-                self._set(self.camera.archive.events.find(self.camera.name, severity="alarm"))
+                self._set_conditions(self.camera.archive.events.find(self.camera.name, severity="alarm"))
                 self._revision = revision
         except OutsideError as error:
             _log.warning("could not look for moves of the camera: %s", error)
@@ -85,49 +85,49 @@ class MoveConditions:
         except (OSError, OutsideError) as error:
             _log.warning("could not keep a picture: %s", error)
 
-    def _set(self, alarms: Iterable[Event]) -> None:
+    def _set_conditions(self, alarms: Iterable[Event]) -> None:
         last: dict[str, Event] = {}
         alarms = tuple(alarms)
         self.waiting = tuple(event for event in alarms if event.to_acknowledge)
         for event in alarms:  # the newest first
             if event.kind in CAMERA_CHANGES:
                 last.setdefault(CAMERA_CHANGES[event.kind], event)
-        pose = self._pose_since(min((event.time for event in last.values()), default=None))
+        pose = self._get_pose_state(min((event.time for event in last.values()), default=None))
         for code in set(CAMERA_CHANGES.values()):
-            reason = self._reason(code, last[code], pose) if code in last else None
+            reason = self._make_condition(code, last[code], pose) if code in last else None
             for one in (code, code + _FITTED):
                 shown = reason is not None and reason.code == one
                 self.board.set_condition(one, reason if shown else None, log=False)
 
-    def _reason(self, code: str, event: Event, pose: _Pose) -> Reason | None:
+    def _make_condition(self, code: str, event: Event, pose: _PoseState) -> Reason | None:
         if event.time in pose.closed:
             return None
         if pose.fitted_from is None or pose.fitted_from < event.time:
             return move_condition(code, event, since=pose.words)
         return move_condition(code + _FITTED, event) if event.to_acknowledge else None
 
-    def _pose_since(self, earliest: datetime | None) -> _Pose:
+    def _get_pose_state(self, earliest: datetime | None) -> _PoseState:
         """Return the state of the present pose; nothing is read where `earliest` is None."""
         if earliest is None:
-            return _Pose(None, _NO_POSE, frozenset())
+            return _PoseState(None, _NO_POSE, frozenset())
         archive, name = self.camera.archive, self.camera.name
         epochs = archive.epochs.find(name, include_closed=True)
         present = {epoch.id: epoch.started_at for epoch in archive.epochs.find(name)}
         closed = frozenset(epoch.started_at for epoch in epochs if epoch.id not in present)
         record = archive.calibrations.current(name)
         if record is None:
-            return _Pose(None, _NO_POSE, closed)
+            return _PoseState(None, _NO_POSE, closed)
         try:
             model = archive.calibrations.model(record.id)
         except InputError:
-            return _Pose(None, _NO_POSE, closed)
+            return _PoseState(None, _NO_POSE, closed)
         if is_provisional(model):
-            return _Pose(None, _PROVISIONAL, closed)
-        return _Pose(present.get(record.pose_epoch or "", record.valid_from), _FORMER, closed)
+            return _PoseState(None, _PROVISIONAL, closed)
+        return _PoseState(present.get(record.pose_epoch or "", record.valid_from), _FORMER, closed)
 
 
 @dataclass(frozen=True, slots=True)
-class _Pose:
+class _PoseState:
     """State of the present pose.
 
     Attributes
@@ -153,7 +153,7 @@ def move_condition(code: str, event: Event, *, since: str = "") -> Reason:
     """
     number = event.id or 0
     date = f"{event.time:%-d %b %Y %H:%M} UTC"
-    size, sigma = (_number(event, name) for name in ("size", "sigma"))
+    size, sigma = (_number_or_nan(event, name) for name in ("size", "sigma"))
     change = _LENS_WORDS.get(event.kind, event.kind)
     serials = {name: str(event.details.get(name, "")) for name in ("serial", "serial_before")}
     found = {
@@ -182,6 +182,6 @@ def move_condition(code: str, event: Event, *, since: str = "") -> Reason:
     return Reason.of(found[code], severity="note")
 
 
-def _number(event: Event, name: str) -> float:
+def _number_or_nan(event: Event, name: str) -> float:
     value = event.details.get(name)
     return float(value) if isinstance(value, int | float) else math.nan

@@ -68,7 +68,7 @@ def is_first_pose(calibration: Calibration) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class _Tried:
+class _LastAttempt:
     epoch: str
     count: int
 
@@ -103,7 +103,7 @@ class ProvisionalPoseEstimator:
 
     def __post_init__(self) -> None:
         """Begin without a pose."""
-        self._tried: _Tried | None = None
+        self._tried: _LastAttempt | None = None
         self.count = 0
         self.refusal: Verdict | None = None
 
@@ -123,7 +123,7 @@ class ProvisionalPoseEstimator:
             return False
         if current is not None and self._is_answered(current, epoch):
             return False
-        lens = None if current is None else self._lens(current)
+        lens = None if current is None else self._find_lens(current)
         if lens is None and self.first is None:
             return False
         columns = self.camera.archive.sightings.columns(
@@ -133,14 +133,14 @@ class ProvisionalPoseEstimator:
         done = self._tried.count if self._tried is not None and self._tried.epoch == epoch.id else 0
         if count < max(FEWEST, _GROWTH * done):
             return False
-        self._tried = _Tried(epoch.id, count)
+        self._tried = _LastAttempt(epoch.id, count)
         points = columns_to_sightings(columns)
         posed = self._pose_by_type(points) if lens is None else self._pose_by_lens(points, lens)
         self.refusal = None if posed.verdict.accepted else posed.verdict
         if not posed.verdict.accepted:
             _log.info("pose estimation failed: %s", "; ".join(posed.verdict.reasons))
             return False
-        document = self._document(posed, epoch, count)
+        document = self._make_document(posed, epoch, count)
         record = self.camera.archive.calibrations.add(document, parent=None if lens is None else lens.id, used=columns)
         return self.camera.archive.calibrations.activate(record.id, at=epoch.started_at).state == "current"
 
@@ -167,7 +167,7 @@ class ProvisionalPoseEstimator:
             wander_deg=self.wander_deg,
         )
 
-    def _lens(self, current: CalibrationRecord) -> CalibrationRecord | None:
+    def _find_lens(self, current: CalibrationRecord) -> CalibrationRecord | None:
         """Return the full fit whose lens is kept."""
         record = current
         try:
@@ -182,7 +182,7 @@ class ProvisionalPoseEstimator:
         started = {each.id: each.started_at for each in self.camera.archive.epochs.find(self.camera.name)}
         return current.pose_epoch in started and started[current.pose_epoch] > epoch.started_at
 
-    def _document(self, posed: Calibration, epoch: PoseEpoch, count: int) -> dict[str, object]:
+    def _make_document(self, posed: Calibration, epoch: PoseEpoch, count: int) -> dict[str, object]:
         now = self.now()
         return to_document(
             add_stated_clock(posed, self.clock_error_s),

@@ -125,14 +125,14 @@ def in_child(call: Callable[[], object], control: ChildControl) -> object:
         # pipe takes would block it for ever where the child has died. The child reads before it imports: no heartbeat
         # is due while it does.
         receiving.send(call)
-        return _answer(receiving, control)
+        return _wait_for_answer(receiving, control)
     except (EOFError, ConnectionError):  # it died before it answered, or before it had read its problem
-        exit_code = _exit_code(process)
+        exit_code = _wait_for_exit_code(process)
         if control.clock.wait(
             control.stop, _STOP_FOLLOWS_S
         ):  # one stop ends both, and the child a moment before this is reached
             return None
-        raise SolverDiedError(Finding("solver_died", {"end": _end(exit_code)})) from None
+        raise SolverDiedError(Finding("solver_died", {"end": _describe_end(exit_code)})) from None
     finally:
         receiving.close()
         if process.pid is not None:
@@ -140,7 +140,7 @@ def in_child(call: Callable[[], object], control: ChildControl) -> object:
             process.join()
 
 
-def _answer(receiving: Connection[object, object], control: ChildControl) -> object:
+def _wait_for_answer(receiving: Connection[object, object], control: ChildControl) -> object:
     end = control.clock.monotonic() + control.time_limit_s
     while not control.stop.is_set():
         control.heartbeat()
@@ -151,14 +151,14 @@ def _answer(receiving: Connection[object, object], control: ChildControl) -> obj
     return None
 
 
-def _exit_code(process: SpawnProcess) -> int | None:
+def _wait_for_exit_code(process: SpawnProcess) -> int | None:
     if process.pid is None:  # it died while it was being started
         return None
     process.join(_STOP_FOLLOWS_S)
     return process.exitcode
 
 
-def _end(exit_code: int | None) -> str:
+def _describe_end(exit_code: int | None) -> str:
     if exit_code is None:
         return "exit code unknown"
     return f"signal {-exit_code}" if exit_code < 0 else f"exit code {exit_code}"

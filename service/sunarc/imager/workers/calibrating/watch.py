@@ -116,7 +116,7 @@ class WatchWorker:
     ) -> None:
         """Queue a sighting, unless its time is doubtful; never waits."""
         if clock_error_s is None or clock_error_s <= MAX_CLOCK_ERROR_S:
-            self._sightings.put(self._observed(time, x_px, y_px, sigma_px))
+            self._sightings.put(self._make_sighting(time, x_px, y_px, sigma_px))
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Work until stopped; sightings from before the start are remembered first."""
@@ -133,18 +133,20 @@ class WatchWorker:
         if epoch is None:
             return
         # what an operator has judged is not judged again: the move would be found once more in the same sightings
-        closed = self.camera.archive.events.find(self.camera.name, kind=EPOCH_CLOSED, until=self._latest(), limit=1)
+        closed = self.camera.archive.events.find(
+            self.camera.name, kind=EPOCH_CLOSED, until=self._latest_trusted_time(), limit=1
+        )
         points = self.camera.archive.sightings.find(
             self.camera.name,
             since=max([epoch.started_at, *(event.time for event in closed)]),
-            until=self._latest(),
+            until=self._latest_trusted_time(),
             largest_clock_error_s=MAX_CLOCK_ERROR_S,
             newest_first=True,
             limit=2 * REMEMBERED,
         )
         usable = [point for point in points if point.accepted or point.verdict == ELSEWHERE][:REMEMBERED]
         for point in reversed(usable):
-            self._process_safely(_as_sighting(point, self._observed))
+            self._process_safely(_as_sighting(point, self._make_sighting))
 
     def look_again(self) -> None:
         """Have the window filled again: older sightings than its last were stored; never waits."""
@@ -175,15 +177,15 @@ class WatchWorker:
         except OutsideError as error:
             _log.warning("could not compare the pose epochs with the time: %s", error)
 
-    def _latest(self) -> datetime:
+    def _latest_trusted_time(self) -> datetime:
         return self.now() + _JITTER
 
     def _present_epoch(self) -> PoseEpoch | None:
-        return self.camera.archive.epochs.current(self.camera.name, at=self._latest())
+        return self.camera.archive.epochs.current(self.camera.name, at=self._latest_trusted_time())
 
     def _is_ahead(self) -> bool:
         """Return whether the time went back to before the remembered sightings."""
-        return bool(len(self._watch)) and float(self._watch.unix_s[-1]) > self._latest().timestamp()
+        return bool(len(self._watch)) and float(self._watch.unix_s[-1]) > self._latest_trusted_time().timestamp()
 
     def _epoch_changed(self) -> bool:
         """Return whether an operator, the refit worker or another camera changed the pose epoch."""
@@ -192,22 +194,22 @@ class WatchWorker:
 
     def _process_safely(self, sighting: Sighting) -> None:
         try:
-            self._process(sighting)
+            self._process_sighting(sighting)
         except (np.linalg.LinAlgError, InputError, OutsideError) as error:
             _log.warning("could not compare a sighting with the calibration: %s", error)
 
-    def _process(self, sighting: Sighting) -> None:
-        current = self._current()
-        if sighting.unix_s > self._latest().timestamp():
+    def _process_sighting(self, sighting: Sighting) -> None:
+        current = self._get_current_model()
+        if sighting.unix_s > self._latest_trusted_time().timestamp():
             return
         if current is None:
-            self._begin(sighting)
+            self._improve_first_pose(sighting)
             return
         if len(self._watch) and sighting.unix_s <= self._watch.unix_s[-1]:
             return
         site = self.camera.site_with_air_at(utc_time(sighting.unix_s))
         if site != self.camera.site:  # not in `notice`, which must not wait for the database
-            sighting = replace(sighting, direction=_sun(sighting.unix_s, site))
+            sighting = replace(sighting, direction=_sun_direction(sighting.unix_s, site))
         self._watch, change = update_window(
             self._watch,
             sighting,
@@ -218,15 +220,15 @@ class WatchWorker:
             posed_from_few=is_provisional(current),
         )
         if self._is_turn_after_all(change):
-            self._end_fault()
+            self._clear_fault()
         if self._fault is not None:
             self._wait_for_recovery(sighting)
         elif change is not None:
-            self._act(change)
+            self._act_on_change(change)
         if self.reposer.improve():
             self._publish_pose()
 
-    def _begin(self, sighting: Sighting) -> None:
+    def _improve_first_pose(self, sighting: Sighting) -> None:
         """Estimate the first pose of a camera with a known type of lens, and publish its progress."""
         self._compare_with_site(sighting)
         if self.reposer.first is None:
@@ -262,16 +264,16 @@ class WatchWorker:
             of_code = found is not None and found.code == code
             self.board.set_condition(code, Reason.of(found) if of_code and found is not None else None)
 
-    def _act(self, change: PoseChange) -> None:
+    def _act_on_change(self, change: PoseChange) -> None:
         """Report a change, and open an epoch or wait according to its cause."""
         at = utc_time(change.time)
         moved = change.cause == "bump" or change.cause in LENS_KINDS
         epoch = self._epoch_begun_by(change) if moved else None
         if epoch is not None:
-            self._publish(change, epoch.started_at)
-            self.camera.archive.sightings.readmit(self.camera.name, since=at, until=self._latest())
+            self._publish_change(change, epoch.started_at)
+            self.camera.archive.sightings.readmit(self.camera.name, since=at, until=self._latest_trusted_time())
             return
-        self._report(change, at)
+        self._report_change(change, at)
         if moved:
             self._open_epoch(change, at)
         else:
@@ -284,7 +286,7 @@ class WatchWorker:
         if epoch is None or self._watch.unix_s[0] < change.time:
             return None
         reported = self.camera.archive.events.find(
-            self.camera.name, kind=change.cause, since=epoch.started_at, until=self._latest()
+            self.camera.name, kind=change.cause, since=epoch.started_at, until=self._latest_trusted_time()
         )
         return epoch if reported else None
 
@@ -298,7 +300,7 @@ class WatchWorker:
             self.camera.archive.epochs.open(self.camera.name, at=at, reason=reason)
         except InputError as error:  # the whole epoch is of the new pose or lens
             _log.info("%s", error)
-        self.camera.archive.sightings.readmit(self.camera.name, since=at, until=self._latest())
+        self.camera.archive.sightings.readmit(self.camera.name, since=at, until=self._latest_trusted_time())
         epoch = self._present_epoch()
         self._epoch = None if epoch is None else epoch.id
         current = self.camera.archive.calibrations.current(self.camera.name)
@@ -316,7 +318,7 @@ class WatchWorker:
         agreeing = int(change_finding(change).data["agreeing"])
         return (self._fault.cause, change.cause) == ("clock", "bump") and agreeing >= _MANY_AGREEING
 
-    def _end_fault(self) -> None:
+    def _clear_fault(self) -> None:
         if self._fault is not None:
             self.board.set_condition(change_finding(self._fault).code, None)
             self._fault = None
@@ -328,19 +330,19 @@ class WatchWorker:
             return
         self._agreeing = self._agreeing + 1 if self._watch.trusted[-1] else 0
         if self._agreeing >= _RECOVERED_AFTER:
-            self._end_fault()
+            self._clear_fault()
             return
         time = utc_time(sighting.unix_s)
         self.camera.archive.sightings.exclude(
             self.camera.name, change_finding(fault), since=time, until=time + MICROSECOND
         )
 
-    def _report(self, change: PoseChange, at: datetime) -> None:
+    def _report_change(self, change: PoseChange, at: datetime) -> None:
         details = change_details(change) | ({TO_ACKNOWLEDGE: True} if change.cause in CAMERA_CHANGES else {})
         self.camera.add_event(change_finding(change), time=at, severity="alarm", kind=change.cause, details=details)
-        self._publish(change, at)
+        self._publish_change(change, at)
 
-    def _publish(self, change: PoseChange, at: datetime) -> None:
+    def _publish_change(self, change: PoseChange, at: datetime) -> None:
         text = f"since {at.isoformat(timespec='seconds')}: {change_finding(change).text}"
         reason = Reason.of(change_finding(change))
         self.board.set_condition(reason.code, replace(reason, text=text, data=change_details(change)), log=False)
@@ -351,7 +353,7 @@ class WatchWorker:
 
     def _publish_pose(self) -> None:
         """Set or clear the conditions of a provisional pose; a full fit of the epoch clears them."""
-        current = self._current()
+        current = self._get_current_model()
         if current is None:
             return
         self._clear_move()
@@ -362,7 +364,7 @@ class WatchWorker:
         for code in (*_POSE_CODES, "first_sun", "first_pose_refused"):
             self.board.set_condition(code, reason if reason is not None and reason.code == code else None)
 
-    def _current(self) -> Calibration | None:
+    def _get_current_model(self) -> Calibration | None:
         """Return the served calibration, and show its pose where it is another calibration than before."""
         record = self.camera.archive.calibrations.current(self.camera.name)
         model = self.camera.archive.calibrations.current_model(self.camera.name)
@@ -387,15 +389,15 @@ class WatchWorker:
     def _publish_future_epochs(self) -> None:
         """Set or clear the condition of pose epochs that begin later than now: they block new ones."""
         epochs = self.camera.archive.epochs.find(self.camera.name)
-        later = [epoch for epoch in epochs if epoch.started_at > self._latest()]
+        later = [epoch for epoch in epochs if epoch.started_at > self._latest_trusted_time()]
         self._has_future_epochs = bool(later)
         self.board.set_condition(_FUTURE_EPOCH, _future_epoch_reason(later[0]) if later else None)
 
-    def _observed(self, time: datetime, x_px: float, y_px: float, sigma_px: float | None) -> Sighting:
+    def _make_sighting(self, time: datetime, x_px: float, y_px: float, sigma_px: float | None) -> Sighting:
         return Sighting(
             unix_s=time.timestamp(),
             pixel=(x_px, y_px),
-            direction=_sun(time.timestamp(), self.camera.site),
+            direction=_sun_direction(time.timestamp(), self.camera.site),
             sigma_px=np.nan if sigma_px is None else sigma_px,
         )
 
@@ -406,7 +408,7 @@ def _as_sighting(point: SunPoint, watched: Callable[[datetime, float, float, flo
     return watched(point.time, point.x_px, point.y_px, point.sigma_px)
 
 
-def _sun(unix_s: float, site: Site) -> tuple[float, float, float]:
+def _sun_direction(unix_s: float, site: Site) -> tuple[float, float, float]:
     """Return the sun's apparent direction, east-north-up."""
     east, north, up = sun_directions(unix_s, site).tolist()
     return east, north, up

@@ -89,7 +89,7 @@ class KeptImages:
 
     def keep(self, kept: KeptStars | KeptMoon, *, since: datetime) -> None:
         """Store an image, and remove those of its sort from before `since`; where that fails, the night goes on."""
-        row = _star_row(kept) if isinstance(kept, KeptStars) else _moon_row(kept)
+        row = _make_star_row(kept) if isinstance(kept, KeptStars) else _make_moon_row(kept)
         try:
             self._camera.archive.nights.add_image(self._camera.name, row, keep_since=since)
         except OutsideError as error:
@@ -110,18 +110,20 @@ class KeptImages:
         return stars, moons
 
 
-def _star_row(kept: KeptStars) -> NightImage:
+def _make_star_row(kept: KeptStars) -> NightImage:
     arrays = {field.name: getattr(kept.stars, field.name) for field in fields(Stars)}
-    return _row(kept.note, kind="stars", arrays=arrays | {"outstanding": kept.outstanding}, kept=kept)
+    return _make_row(kept.note, kind="stars", arrays=arrays | {"outstanding": kept.outstanding}, kept=kept)
 
 
-def _moon_row(kept: KeptMoon) -> NightImage:
+def _make_moon_row(kept: KeptMoon) -> NightImage:
     corners = np.array([(one.x, one.y) for one in kept.cutouts], dtype=np.int64).reshape(-1, 2)
     images = {f"cutout_{number}": one.image for number, one in enumerate(kept.cutouts)}
-    return _row(kept.note, kind="moon", arrays={"corners": corners, **images})
+    return _make_row(kept.note, kind="moon", arrays={"corners": corners, **images})
 
 
-def _row(note: FrameNote, *, kind: str, arrays: Mapping[str, np.ndarray], kept: KeptStars | None = None) -> NightImage:
+def _make_row(
+    note: FrameNote, *, kind: str, arrays: Mapping[str, np.ndarray], kept: KeptStars | None = None
+) -> NightImage:
     frame = note.frame
     packed = io.BytesIO()
     write: Callable[..., None] = np.savez_compressed
@@ -221,7 +223,7 @@ def named_bodies(one: TakenImage, calibration: Calibration, camera: CameraArchiv
     `found` is null where no star of the image was named (cloud, another pose), and of the moon, which is no star.
     """
     view, matches = one.view, one.found.matches
-    seen = _detected(view, one) if matches.accepted else None
+    seen = _is_detected(view, one) if matches.accepted else None
     shown = np.flatnonzero(view.predicted.magnitude <= _SHOWN_TO_V)
     shown = shown[np.argsort(view.predicted.magnitude[shown], kind="stable")][:_MOST]
     bodies = [
@@ -234,17 +236,17 @@ def named_bodies(one: TakenImage, calibration: Calibration, camera: CameraArchiv
         }
         for row in shown.tolist()
     ]
-    return [*_moon(view.unix_s, calibration, camera), *bodies]
+    return [*_describe_moon(view.unix_s, calibration, camera), *bodies]
 
 
-def _detected(view: StarView, one: TakenImage) -> BoolArray:
+def _is_detected(view: StarView, one: TakenImage) -> BoolArray:
     """Return which predicted stars have a detection: the named ones, and those with one at their place."""
     seen = detected(view.stars, view.predicted)
     seen[one.found.matches.star] = True
     return seen
 
 
-def _moon(unix_s: float, calibration: Calibration, camera: CameraArchive) -> list[dict[str, Any]]:
+def _describe_moon(unix_s: float, calibration: Calibration, camera: CameraArchive) -> list[dict[str, Any]]:
     """Return the moon where it is in the image."""
     place = body_position("moon", unix_s, camera.site)
     if place.direction[2] <= 0.0:
@@ -310,7 +312,7 @@ class WarmPixelFile:
     def read(self, sensor: SensorFormat) -> IntArray:
         """Return the flat indices, ascending; none without a file, or where it is damaged or of another sensor."""
         try:
-            stored, pixels = _parsed_list(read_regular(self.path, most_bytes=_MOST_LIST_BYTES))
+            stored, pixels = _parse_list(read_regular(self.path, most_bytes=_MOST_LIST_BYTES))
         except FileNotFoundError:
             return np.zeros(0, dtype=np.int64)
         except (OSError, ValueError, OverflowError, RecursionError) as error:
@@ -334,12 +336,12 @@ class WarmPixelFile:
             _log.warning("%s: %s", found.code, found.text, extra={"event_kind": found.code})
 
 
-def _parsed_list(content: bytes) -> tuple[SensorFormat, IntArray]:
+def _parse_list(content: bytes) -> tuple[SensorFormat, IntArray]:
     """Return the content of a file; ValueError where it is not as it was written."""
     document = json.loads(content)
     if not isinstance(document, dict) or document.get("version") != _LIST_VERSION:
         raise ValueError("not a list of this version")
-    sensor, pixels = _sensor_format(document.get("sensor")), document.get("pixels")
+    sensor, pixels = _parse_sensor_format(document.get("sensor")), document.get("pixels")
     if not isinstance(pixels, list) or len(pixels) > _MOST_PIXELS or not all(type(one) is int for one in pixels):
         raise ValueError("no list of pixels")
     flat = np.array(pixels, dtype=np.int64)
@@ -348,7 +350,7 @@ def _parsed_list(content: bytes) -> tuple[SensorFormat, IntArray]:
     return sensor, flat
 
 
-def _sensor_format(stored: Any) -> SensorFormat:  # noqa: ANN401 - of JSON
+def _parse_sensor_format(stored: Any) -> SensorFormat:  # noqa: ANN401 - of JSON
     if not isinstance(stored, dict) or set(stored) != set(SensorFormat._fields):
         raise ValueError("no sensor")
     sensor = SensorFormat(**stored)

@@ -52,7 +52,7 @@ class _MoonImage:
     clock_error_s: float = 0.0
 
 
-class _Measured(NamedTuple):
+class _MeasuredMoon(NamedTuple):
     """An image, the moon in it (in the whole image's pixels), and by how much it is off its prediction, px."""
 
     image: _MoonImage
@@ -82,7 +82,7 @@ class MoonImages:
     def add(self, frames: Sequence[Frame]) -> tuple[Frame, tuple[Cutout, ...]]:
         """Keep the bright part of the longest exposure of a slot that is not clipped, and return both."""
         looked = [(frame, brightest_cutouts(frame.image, full_scale=frame.full_scale)) for frame in frames]
-        near = self._near_prediction()
+        near = self._make_prediction_filter()
         levels = [(frame, cutouts, brightest_level(frame, near(frame, cutouts))) for frame, cutouts in looked]
         if self.exposures is not None and frames:
             self.exposures.report(frames[0].time, tuple((frame.exposure_us, level) for frame, _, level in levels))
@@ -102,11 +102,11 @@ class MoonImages:
         )
         self._images = [*self._images, image][-_MOST_IMAGES:]
 
-    def _near_prediction(self) -> Callable[[Frame, tuple[Cutout, ...]], tuple[Cutout, ...]]:
+    def _make_prediction_filter(self) -> Callable[[Frame, tuple[Cutout, ...]], tuple[Cutout, ...]]:
         """Return the image with the moon's cutout alone, where a calibration predicts it: a lamp may be brighter."""
         calibration = self.camera.archive.calibrations.current_model(self.camera.name)
 
-        def near(frame: Frame, cutouts: tuple[Cutout, ...]) -> tuple[Cutout, ...]:
+        def select_predicted(frame: Frame, cutouts: tuple[Cutout, ...]) -> tuple[Cutout, ...]:
             if calibration is None:
                 return cutouts
             disc = moon_disc(frame.time.timestamp(), self.camera.site_with_air_at(frame.time))
@@ -116,7 +116,7 @@ class MoonImages:
             found = cutout_around(cutouts, expected.x_px, expected.y_px, within_px=4.0 * expected.uncertainty_px)
             return () if found is None else (found,)
 
-        return near
+        return select_predicted
 
     def forget(self) -> int:
         """Drop the kept images, and return how many there were."""
@@ -139,7 +139,7 @@ class MoonImages:
         """
         images, self._images = self._images, []
         looked = [self._measure_moon(image, calibration, within_px) for image in images]
-        measured = [one for one in looked if isinstance(one, _Measured)]
+        measured = [one for one in looked if isinstance(one, _MeasuredMoon)]
         refused = [one for one in looked if isinstance(one, Finding)]
         if measured:
             middle = np.median([one.off for one in measured], axis=0)
@@ -148,10 +148,10 @@ class MoonImages:
                 refused.append(Finding("moon_few", {"n": len(kept), "limit": _FEWEST}))
                 kept = []
             measured = kept
-        points = tuple(self._point(one, clock_error_s) for one in measured)
+        points = tuple(self._make_sighting(one, clock_error_s) for one in measured)
         return MoonNight(points, len(images), tuple(refused))
 
-    def _measure_moon(self, image: _MoonImage, calibration: Calibration, within_px: float) -> _Measured | Finding:
+    def _measure_moon(self, image: _MoonImage, calibration: Calibration, within_px: float) -> _MeasuredMoon | Finding:
         disc = moon_disc(image.time.timestamp(), self.camera.site_with_air_at(image.time))
         expected = predicted_moon(calibration, disc, within_px=within_px)
         if (
@@ -175,9 +175,9 @@ class MoonImages:
         if not found.accepted or found.x_px is None or found.y_px is None:
             return found.findings[0]
         x, y = found.x_px + cutout.x, found.y_px + cutout.y
-        return _Measured(image, found, x, y, (x - expected.x_px, y - expected.y_px))
+        return _MeasuredMoon(image, found, x, y, (x - expected.x_px, y - expected.y_px))
 
-    def _point(self, measured: _Measured, clock_error_s: Callable[[datetime], float]) -> SunPoint:
+    def _make_sighting(self, measured: _MeasuredMoon, clock_error_s: Callable[[datetime], float]) -> SunPoint:
         image, found = measured.image, measured.found
         return SunPoint(
             camera=self.camera.name,
@@ -242,6 +242,6 @@ def brightest_level(frame: Frame, cutouts: Sequence[Cutout]) -> float:
     return (float(np.max(np.minimum(counts - sky, _STANDS_OUT * around))) + sky) / frame.full_scale
 
 
-def _is_near(measured: _Measured, middle: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> bool:
+def _is_near(measured: _MeasuredMoon, middle: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> bool:
     allowed = _SCATTER_SIGMAS * float(np.hypot(measured.found.sigma_px or 0.0, _SEEING_PX))
     return float(np.hypot(*(np.array(measured.off) - middle))) <= allowed

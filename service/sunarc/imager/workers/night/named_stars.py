@@ -47,13 +47,13 @@ class RadialOffset:
         """Return the displacements (n, 2) px at pixels (n, 2)."""
         outwards = pixels - self.centre
         far = np.linalg.norm(outwards, axis=-1, keepdims=True)
-        size = _powers(far[:, 0] / self.radius) @ self.coefficients
+        size = _radius_powers(far[:, 0] / self.radius) @ self.coefficients
         return np.asarray(size[:, None] * outwards / np.maximum(far, 1e-9))
 
     @property
     def largest_px(self) -> float:
         """The largest displacement within the radius, px."""
-        return float(np.max(np.abs(_powers(np.linspace(0.0, 1.0, 101)) @ self.coefficients)))
+        return float(np.max(np.abs(_radius_powers(np.linspace(0.0, 1.0, 101)) @ self.coefficients)))
 
 
 def radial_offset(
@@ -76,7 +76,7 @@ def radial_offset(
     if far.size < _FEWEST:
         return RadialOffset(centre=centre, radius=radius, coefficients=np.zeros(len(_POWERS)))
     along = np.sum((pixels - predicted) * outwards, axis=-1) / np.maximum(far, 1e-9)
-    design, sure = _powers(far / radius), 1.0 / (sigma_px**2 + _SURE_PX**2)
+    design, sure = _radius_powers(far / radius), 1.0 / (sigma_px**2 + _SURE_PX**2)
     weight = sure
     for _ in range(_ROUNDS):
         rows = np.sqrt(weight)
@@ -106,7 +106,7 @@ def measure_radial_offset(
     )
 
 
-def _powers(ratio: FloatArray) -> FloatArray:
+def _radius_powers(ratio: FloatArray) -> FloatArray:
     return np.stack([ratio**power for power in _POWERS], axis=-1)
 
 
@@ -160,9 +160,13 @@ def exposed_longer(taken: Sequence[TakenImage], before: Sequence[float]) -> dict
     before : zero points of the last nights: one below tonight's does not count, as a dome is cleaned.
     """
     named = [row for row, one in enumerate(taken) if one.found.matches.accepted]
-    light = [_light(taken[row], math.inf) for row in named]  # the bright ones are clipped in a longer exposure
+    light = [
+        _measure_star_light(taken[row], math.inf) for row in named
+    ]  # the bright ones are clipped in a longer exposure
     zero_points = photometry.fit_extinction(light, photometry.ZENITH_BANDS_DEG).zero_point
-    known = [number for number in (_median(zero_points), _median(np.array(before))) if math.isfinite(number)]
+    known = [
+        number for number in (_known_median(zero_points), _known_median(np.array(before))) if math.isfinite(number)
+    ]
     brighter = zero_points - max(known, default=math.nan)
     return {row: float(by) for row, by in zip(named, brighter, strict=True) if by > MOST_BRIGHTER_MAG}
 
@@ -170,7 +174,7 @@ def exposed_longer(taken: Sequence[TakenImage], before: Sequence[float]) -> dict
 def night_numbers(taken: Sequence[TakenImage]) -> NightNumbers:
     """Return the numbers of a night; only images whose stars were named say something of the sky."""
     named = [one for one in taken if one.found.matches.accepted]
-    air = photometry.fit_extinction([_light(one) for one in named], photometry.ZENITH_BANDS_DEG)
+    air = photometry.fit_extinction([_measure_star_light(one) for one in named], photometry.ZENITH_BANDS_DEG)
     zero_points = dict(zip(map(id, named), air.zero_point.tolist(), strict=True))
     images = [_image_numbers(one, zero_points.get(id(one), math.nan)) for one in taken]
     columns = {name: np.array([image[name] for image in images]) for name in images[0]} if images else {}
@@ -178,10 +182,10 @@ def night_numbers(taken: Sequence[TakenImage]) -> NightNumbers:
     return NightNumbers(
         air=air,
         trend=trend,
-        star_ellipticity=_median(columns.get("star_ellipticity", np.zeros(0))),
-        halo=_median(columns.get("halo", np.zeros(0))),
-        bands=_bands(named, air),
-        images=_series(taken, columns) if taken else None,
+        star_ellipticity=_known_median(columns.get("star_ellipticity", np.zeros(0))),
+        halo=_known_median(columns.get("halo", np.zeros(0))),
+        bands=_make_bands(named, air),
+        images=_make_series(taken, columns) if taken else None,
     )
 
 
@@ -217,25 +221,25 @@ def estimate_limit(view: StarView) -> float:
 
 
 def _image_numbers(one: TakenImage, zero_point: float) -> dict[str, float]:
-    stars = _own_shapes(one)
+    stars = _select_with_own_shape(one)
     named = one.found.matches.accepted
     return {
         "cloud_fraction": cloud_fraction(one.view) if named else 1.0,
         "limiting_magnitude": estimate_limit(one.view) if named else math.nan,
-        "star_fwhm_px": FWHM * _median(stars.width_px),
-        "star_ellipticity": _median(stars.ellipticity),
+        "star_fwhm_px": FWHM * _known_median(stars.width_px),
+        "star_ellipticity": _known_median(stars.ellipticity),
         "halo": one.halo,
         "zero_point": zero_point,
     }
 
 
-def _own_shapes(one: TakenImage) -> Stars:
+def _select_with_own_shape(one: TakenImage) -> Stars:
     """Return the named stars that are bright enough for a shape of their own."""
     stars = one.found.stars.select(one.found.matches.detection)
     return stars.select(stars.sound & (stars.snr > _OWN_SHAPE_SNR))
 
 
-def _light(one: TakenImage, to_v: float = COUNTED_TO_V) -> photometry.StarLight:
+def _measure_star_light(one: TakenImage, to_v: float = COUNTED_TO_V) -> photometry.StarLight:
     """Return the photometry of the named, unclipped stars down to a magnitude."""
     stars = one.found.stars.select(one.found.matches.detection)
     zenith, _ = angles_from_direction(one.found.directions(one.view))
@@ -249,7 +253,7 @@ def _light(one: TakenImage, to_v: float = COUNTED_TO_V) -> photometry.StarLight:
     )
 
 
-def _bands(named: Sequence[TakenImage], air: photometry.Extinction) -> tuple[NightBand, ...]:
+def _make_bands(named: Sequence[TakenImage], air: photometry.Extinction) -> tuple[NightBand, ...]:
     """Return the bands of zenith angle: stars to V 4 that were predicted and found, and the share of their light."""
     zenith, found = [np.zeros(0)], [np.zeros(0, dtype=np.bool_)]
     for one in named:
@@ -265,7 +269,7 @@ def _bands(named: Sequence[TakenImage], air: photometry.Extinction) -> tuple[Nig
     )
 
 
-def _series(taken: Sequence[TakenImage], columns: dict[str, FloatArray]) -> NightSeries:
+def _make_series(taken: Sequence[TakenImage], columns: dict[str, FloatArray]) -> NightSeries:
     """Return the columns of at most 72 images, None where a number is not known."""
     rows = np.unique(np.linspace(0, len(taken) - 1, min(len(taken), _MOST_IMAGES)).astype(int)).tolist()
     known = {name: tuple(_round_number(float(column[row])) for row in rows) for name, column in columns.items()}
@@ -280,6 +284,6 @@ def _round_number(value: float) -> float | None:
     return round(value, _DIGITS) if math.isfinite(value) else None
 
 
-def _median(values: FloatArray) -> float:
+def _known_median(values: FloatArray) -> float:
     known = values[np.isfinite(values)]
     return float(np.median(known)) if known.size else math.nan

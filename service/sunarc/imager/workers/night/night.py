@@ -92,7 +92,7 @@ _MOST_FLIPPED = 4
 """Images, those with most detections, in which flips are looked for where no image's stars match."""
 
 
-def _flipped(
+def _find_flip(
     views: Sequence[StarView], matched: Sequence[MatchedView], calibration: Calibration
 ) -> tuple[Finding, ...]:
     """Return the finding of images that are stored otherwise than those of the calibration."""
@@ -117,10 +117,10 @@ def summarize_night(views: Sequence[StarView], matched: Sequence[MatchedView]) -
     return NightSummary(
         n_images=len(views),
         n_accepted=len(pairs),
-        n_stars=round(_median([len(found.stars) for _, found in pairs], otherwise=0.0)),
-        n_matched=round(_median([found.matches.star.size for _, found in pairs], otherwise=0.0)),
-        limiting_magnitude=_median([estimate_limit(view) for view, _ in pairs]),
-        star_fwhm_px=FWHM * _median(widths.tolist()),
+        n_stars=round(_finite_median([len(found.stars) for _, found in pairs], otherwise=0.0)),
+        n_matched=round(_finite_median([found.matches.star.size for _, found in pairs], otherwise=0.0)),
+        limiting_magnitude=_finite_median([estimate_limit(view) for view, _ in pairs]),
+        star_fwhm_px=FWHM * _finite_median(widths.tolist()),
         cloud_fraction=float(np.mean(clouds)) if clouds else math.nan,
     )
 
@@ -145,7 +145,7 @@ def decide_night(summary: NightSummary, *, moonlit_share: float) -> tuple[NightV
     return ("moonlit" if moonlit_share > _MOONLIT_SHARE else "cloudy"), found
 
 
-def _median(values: Sequence[float], *, otherwise: float = math.nan) -> float:
+def _finite_median(values: Sequence[float], *, otherwise: float = math.nan) -> float:
     finite = [value for value in values if math.isfinite(value)]
     return float(np.median(finite)) if finite else otherwise
 
@@ -225,7 +225,9 @@ class NightWorker:
         self._daylight_since: datetime | None = None
         self._images: list[_StarImage] = []
         self._picture: NightPicture | None = None
-        self._warm = WarmPixelMap(None if self.warm_pixels is None else WarmPixelFile(self.warm_pixels, self._report))
+        self._warm = WarmPixelMap(
+            None if self.warm_pixels is None else WarmPixelFile(self.warm_pixels, self._write_event)
+        )
         self._serial: str | None = None
         self._digest: int | None = None
         self._repeated = 0
@@ -282,7 +284,7 @@ class NightWorker:
         if self._images and self._evening_date(frame.time) != self._evening_date(self._images[-1].time):
             if clock_error_s > MAX_CLOCK_ERROR_S:
                 return
-            self._begin_another()
+            self._begin_new_night()
         sensor = frame_sensor(frame, self.options)
         stars = detect_stars(
             self._warm.repair(frame, sensor.bayer, serial=self._camera_serial()),
@@ -308,17 +310,17 @@ class NightWorker:
         if self._kept is not None:
             self._kept.keep(kept, since=min(image.time for image in self._images))
 
-    def _begin_another(self) -> None:
+    def _begin_new_night(self) -> None:
         """Begin a new night although the sun was not up between: polar night, or wrong times of the first images."""
         if all(image.clock_error_s > MAX_CLOCK_ERROR_S for image in self._images):
             _log.warning("%d images of the night that no good clock dated are left out", len(self._images))
-            self._forget()
+            self._forget_images()
             if self._kept is not None:
                 self.camera.archive.nights.drop_images(self.camera.name)
         else:
             self.finish()
 
-    def _forget(self) -> None:
+    def _forget_images(self) -> None:
         self._images, self._picture, self._repeated, self._daylight_since = [], None, 0, None
         self._moon.forget()
 
@@ -336,7 +338,7 @@ class NightWorker:
             self._serial = "" if record is None else record.serial
         return self._serial
 
-    def _report(self, found: Finding) -> None:
+    def _write_event(self, found: Finding) -> None:
         self.camera.add_event(found, time=self.now(), severity="warning")
 
     def add_moon_exposures(self, frames: Sequence[Frame]) -> None:
@@ -352,28 +354,30 @@ class NightWorker:
         tries = 1 if self._kept is None else self.camera.archive.nights.begin_verdict(self.camera.name)
         if tries > _MOST_TRIES:
             found = Finding("night_given_up", {"n": len(self._images), "tries": _MOST_TRIES})
-            night = self._without_numbers(self._images, (found,), None)
+            night = self._make_unusable_night(self._images, (found,), None)
         else:
-            night = self._judge(heartbeat, again=tries > 1)
-        self._remember(night)
-        self._forget()
+            night = self._judge_night(heartbeat, again=tries > 1)
+        self._store_night(night)
+        self._forget_images()
         return night
 
-    def _judge(self, heartbeat: Callable[[], None], *, again: bool) -> Night:
+    def _judge_night(self, heartbeat: Callable[[], None], *, again: bool) -> Night:
         """Do the work of `finish` with the present images; `again` where it was begun before a restart."""
         images, picture = self._images, self._picture
         frozen = (Finding("night_frozen", {"n": self._repeated}),) if self._repeated else ()
         calibration = self.camera.archive.calibrations.current_model(self.camera.name)
         if calibration is None or not self.trusted():
             code = "night_without_calibration" if calibration is None else "night_clock_not_trusted"
-            return self._without_numbers(images, (Finding(code),), self._keep(picture, None, calibration))
-        images, taken, longer = self._named(images, calibration, heartbeat)
+            return self._make_unusable_night(images, (Finding(code),), self._keep_picture(picture, None, calibration))
+        images, taken, longer = self._name_stars(images, calibration, heartbeat)
         views, matched = [one.view for one in taken], [one.found for one in taken]
         summary = summarize_night(views, matched)
         measured = night_numbers(taken)
-        picture_time = self._keep(picture, dict(zip([image.time for image in images], taken, strict=True)), calibration)
+        picture_time = self._keep_picture(
+            picture, dict(zip([image.time for image in images], taken, strict=True)), calibration
+        )
         offset = measure_radial_offset(views, matched, calibration)
-        stored = self._store(images, views, matched, again=again)
+        stored = self._store_sightings(images, views, matched, again=again)
         moon = self._moon.finish(calibration, within_px=BENT_PX, clock_error_s=self.clock_error_s)
         heartbeat()
         stored_moon = max(self.camera.archive.sightings.add(moon.points), len(moon.points) if again else 0)
@@ -390,7 +394,7 @@ class NightWorker:
             findings=(
                 *findings,
                 *refused[:1],
-                *_flipped(views, matched, calibration),
+                *_find_flip(views, matched, calibration),
                 *moon.refused[:1],
                 *frozen,
                 *longer,
@@ -411,7 +415,7 @@ class NightWorker:
             transparency=_known_number(10.0 ** (-0.4 * air.per_air_mass)),
             extinction=_known_number(air.per_air_mass),
             extinction_sigma=_known_number(air.sigma),
-            zero_point=_known_number(_median(air.zero_point.tolist())),
+            zero_point=_known_number(_finite_median(air.zero_point.tolist())),
             star_ellipticity=_known_number(measured.star_ellipticity),
             halo=_known_number(measured.halo),
             width_growth=_known_number(trend.width_growth),
@@ -427,13 +431,13 @@ class NightWorker:
         nights = self.camera.archive.nights.find(self.camera.name, limit=NIGHTS_COMPARED)
         return [one.zero_point for one in nights if one.verdict in _WORTH_COMPARING and one.zero_point is not None]
 
-    def _named(
+    def _name_stars(
         self, images: Sequence[_StarImage], calibration: Calibration, heartbeat: Callable[[], None]
     ) -> tuple[list[_StarImage], list[TakenImage], tuple[Finding, ...]]:
         """Return images with the stars that the calibration names, without those that were exposed for longer."""
         views = []
         for image in images:
-            views.append(self._view(image, calibration))
+            views.append(self._make_view(image, calibration))
             heartbeat()
         matched = match_views(views)
         if self.obstructions is not None:
@@ -447,7 +451,7 @@ class NightWorker:
         kept = [row for row in range(len(taken)) if row not in longer]
         return [images[row] for row in kept], [taken[row] for row in kept], _exposure_finding(longer)
 
-    def _without_numbers(
+    def _make_unusable_night(
         self, images: Sequence[_StarImage], findings: tuple[Finding, ...], picture_time: datetime | None
     ) -> Night:
         """Return the verdict of a night whose images show nothing of the sky."""
@@ -455,7 +459,7 @@ class NightWorker:
         night = unusable_night(self.camera.name, evening, findings=findings, decided_at=now, n_images=len(images))
         return replace(night, picture_time=picture_time)
 
-    def _keep(
+    def _keep_picture(
         self, picture: NightPicture | None, taken: dict[datetime, TakenImage] | None, calibration: Calibration | None
     ) -> datetime | None:
         """Write the picture of the night, with the names of its bodies where a calibration predicts them.
@@ -482,7 +486,7 @@ class NightWorker:
         """Return the solar date of the evening that a night began with."""
         return solar_date(time.timestamp() - 0.5 * DAY_S, longitude=self.camera.site.longitude)
 
-    def _view(self, image: _StarImage, calibration: Calibration) -> StarView:
+    def _make_view(self, image: _StarImage, calibration: Calibration) -> StarView:
         stars, site = self._warm.without_warm(image.stars), self.camera.site_with_air_at(image.time)
         view = star_view(stars, image.time.timestamp(), site=site, calibration=calibration)
         if self.obstructions is None:
@@ -490,7 +494,7 @@ class NightWorker:
         hidden = self.obstructions.hides(view.predicted_directions)
         return replace(view, predicted=view.predicted.select(~hidden))
 
-    def _store(
+    def _store_sightings(
         self,
         images: Sequence[_StarImage],
         views: Sequence[StarView],
@@ -507,14 +511,14 @@ class NightWorker:
             point
             for image, view, found in zip(images, views, matched, strict=True)
             if found.matches.accepted
-            for point in self._points(image, view, found)
+            for point in self._make_sightings(image, view, found)
         ]
         if self.replaces or again:
             new = self.camera.archive.sightings.replace_stars(self.camera.name, points)
             return len(points) if again else new
         return self.camera.archive.sightings.add(points)
 
-    def _points(self, image: _StarImage, view: StarView, found: MatchedView) -> list[SunPoint]:
+    def _make_sightings(self, image: _StarImage, view: StarView, found: MatchedView) -> list[SunPoint]:
         """Return the surest stars of each part of an image as sightings."""
         record = self.camera.archive.cameras.get(self.camera.name)
         names, stars = surest_named(view, found, (0, 0) if record is None else record.image_size)
@@ -545,7 +549,7 @@ class NightWorker:
         moons = [body_position("moon", image.time.timestamp(), self.camera.site) for image in images]
         return sum(moon.direction[2] > 0.0 and moon.illuminated_fraction > _HALF_LIT for moon in moons) / len(moons)
 
-    def _remember(self, night: Night) -> None:
+    def _store_night(self, night: Night) -> None:
         """Store the verdict, and set the conditions that the last nights give rise to."""
         event = night_event(night)
         self.camera.archive.nights.save(night, event=event, drops_images=self._kept is not None)
@@ -612,10 +616,10 @@ def night_conditions(nights: Sequence[Night], limits: NightLimits) -> dict[str, 
     nights : the last ones, the newest first.
     limits : what is suspected.
     """
-    return dict(zip(NIGHT_CODES, (_focus(nights, limits), _dew(nights, limits)), strict=True))
+    return dict(zip(NIGHT_CODES, (_focus_condition(nights, limits), _dew_condition(nights, limits)), strict=True))
 
 
-def _focus(nights: Sequence[Night], limits: NightLimits) -> Reason | None:
+def _focus_condition(nights: Sequence[Night], limits: NightLimits) -> Reason | None:
     """Return the condition of stars that are wider than they were."""
     widths = [
         night.star_fwhm_px for night in nights if night.verdict in _WORTH_COMPARING and night.star_fwhm_px is not None
@@ -626,7 +630,7 @@ def _focus(nights: Sequence[Night], limits: NightLimits) -> Reason | None:
     return condition("night_focus_worse", ratio=ratio, fwhm_px=widths[0], nights=limits.nights)
 
 
-def _dew(nights: Sequence[Night], limits: NightLimits) -> Reason | None:
+def _dew_condition(nights: Sequence[Night], limits: NightLimits) -> Reason | None:
     """Return the condition of a last night whose stars faded while they grew wider or hazy."""
     if not nights:
         return None
