@@ -38,7 +38,7 @@ Result = TypeVar("Result")
 
 
 class Workers(NamedTuple):
-    """A cluster to be used: at an address, or of so many processes of this machine where that is None.
+    """Cluster to be used: the address of a scheduler, or so many processes of this machine where it is None.
 
     deaths: workers of this machine that a chunk may kill before it is divided.
     """
@@ -78,7 +78,7 @@ class Cluster:
         return [found.get(number) for number in range(len(given))]
 
     def look(self, chunks: Sequence[Chunk], done: Done, *, run: Callable[[Chunk], list[Answer]] = look_at) -> None:
-        """Have all chunks processed; `done` is called with each and its answers, in the order in which they come.
+        """Process all chunks; `done` is called with each and its answers, in the order in which they are finished.
 
         `run` is what a worker does with a chunk.
 
@@ -168,7 +168,7 @@ class Cluster:
 
 
 class ClusterWhenNeeded:
-    """A cluster that is opened for the first work; see `Cluster`.
+    """Cluster that is opened for the first work; see `Cluster`.
 
     Parameters
     ----------
@@ -194,7 +194,7 @@ class ClusterWhenNeeded:
         return self._get_cluster().each(run, given) if given else []
 
     def look(self, chunks: Sequence[Chunk], done: Done, *, run: Callable[[Chunk], list[Answer]] = look_at) -> None:
-        """Have all chunks processed; `done` is called with each and its answers."""
+        """Process all chunks; `done` is called with each and its answers."""
         if chunks:
             self._get_cluster().look(chunks, done, run=run)
 
@@ -275,7 +275,7 @@ def _halve_chunk(chunk: Chunk, done: Done) -> list[tuple[Chunk, Chunk]]:
 
 
 def _close_quietly(close: Callable[..., object], **arguments: object) -> None:
-    """Close an object that may be broken already."""
+    """Close an object that may be broken already, without an error."""
     try:
         close(**arguments)
     except Exception as error:  # noqa: BLE001 - nothing depends on it any more

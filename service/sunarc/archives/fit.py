@@ -71,7 +71,7 @@ _MOST_CHANGES = 12
 
 
 class FittedPose(NamedTuple):
-    """A calibration of a pose, the rows of the suns that it was given, and the stars with them."""
+    """Calibration of a pose, the rows of its suns, and its stars."""
 
     calibration: Calibration
     rows: IntArray
@@ -314,7 +314,7 @@ class CameraSightings(NamedTuple):
 
 
 class Rough(NamedTuple):
-    """States and epochs after the first pass, and the doubts about them, or the reason why they are missing."""
+    """States and epochs after the first pass, and their findings."""
 
     states: tuple[State, ...] = ()
     epochs: tuple[Epoch, ...] = ()
@@ -322,7 +322,7 @@ class Rough(NamedTuple):
 
 
 class Final(NamedTuple):
-    """States, epochs, the state of each sighting (n,), and the calibration of each pose by its number."""
+    """States and epochs after the second pass, the state of each sighting (n,), and the calibration of each pose."""
 
     states: tuple[State, ...]
     epochs: tuple[Epoch, ...]
@@ -336,7 +336,7 @@ class Final(NamedTuple):
 
 
 def without_suns(rough: Rough) -> Final:
-    """Return the outcome of a camera of which no sun is accepted: its calibrations are those of the stars."""
+    """Return the result for a camera without an accepted sun: calibrations by stars."""
     return Final(rough.states, rough.epochs, np.zeros(0, dtype=np.int64), {})
 
 
@@ -467,7 +467,7 @@ _FEWEST_OF_PART = 30
 
 
 def _held_to_parts(final: Final, given: CameraSightings) -> Final:
-    """Return calibrations held to those of their halves, thirds and alternate suns: with larger errors, or refused.
+    """Return calibrations compared with fits of parts of their sightings: with larger errors, or refused.
 
     What all days share (a bias of detection, a wrong lens) no part of them shows; what differs among them does.
     """
@@ -537,7 +537,7 @@ _OF_DAYS = {
 
 
 def _held_to_days(final: Final, given: CameraSightings, noise: FloatArray) -> Final:
-    """Return epochs, those that do not explain their days shortened to the days that agree, where these give a camera.
+    """Return epochs shortened to the days that agree on a camera, where not all days do.
 
     What is left of such an epoch keeps the calibration that was refused.
     """
@@ -574,7 +574,7 @@ class StarFitInput(NamedTuple):
 
 
 def starry_analysis(of: StarFitInput) -> Final:
-    """Return epochs and calibrations with those calibrations that are better fitted to suns and stars."""
+    """Return epochs and calibrations, using suns and stars together where that is better."""
     final, given = of.final, of.given
     if not len(given.points):
         return final._replace(fitted=_fit_stars(of.stars, final.states, given.camera))

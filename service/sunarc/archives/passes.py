@@ -58,7 +58,7 @@ seen at no such place again."""
 
 
 class FoundSun(NamedTuple):
-    """A run's record of a detection: all of it stands in the ledger. Without a position where it was rejected."""
+    """Short record of a detection; without a position where it was rejected."""
 
     accepted: bool
     verdict: Verdict
@@ -120,17 +120,17 @@ class AnswerStore(Protocol):
 
 
 class ChunkRunner(Protocol):
-    """Looks at chunks: a cluster, or processes of this machine."""
+    """Runner of chunks: a cluster, or processes of this machine."""
 
     def each(self, run: Callable[[Given], Result], given: Sequence[Given]) -> list[Result | None]:
         """Return the result of a function for each of some values; None where it could not be done."""
 
     def look(self, chunks: Sequence[Chunk], done: Done, *, run: Callable[[Chunk], list[Answer]] = look_at) -> None:
-        """Have all chunks processed; `done` is called with each and its answers."""
+        """Process all chunks; `done` is called with each and its answers."""
 
 
 class Passes(NamedTuple):
-    """Inputs of both passes of a run."""
+    """Both passes over images: without a prediction, then with one."""
 
     ledger: AnswerStore
     cluster: ChunkRunner
@@ -226,7 +226,7 @@ class Passes(NamedTuple):
 
 
 class _PassAnswers:
-    """A camera's answers in a pass, as they come.
+    """Answers for a camera's images in one pass.
 
     Attributes
     ----------
@@ -286,7 +286,7 @@ class _PassAnswers:
 
 
 def kept(found: Detection | NamedStars | Finding) -> Found:
-    """Return a run's record of an answer."""
+    """Return the short record of an answer."""
     if isinstance(found, Finding | NamedStars):
         return found
     if not found.accepted:
@@ -305,7 +305,7 @@ def _require_all_answers(images: tuple[ArchiveImage, ...], found: Iterable[Found
 
 
 def _sample_chunk(camera: CameraImages) -> Chunk:
-    """Return some images spread over all of a camera's first source."""
+    """Return images spread over all of a camera's first source, as a chunk."""
     address = camera.images[0].address
     of_one = [image for image in camera.images if image.address == address]
     some = sorted(of_one[:: len(of_one) // _MASK_IMAGES + 1], key=lambda image: (image.file, image.number))
@@ -381,7 +381,7 @@ def _sun_motion_deg(earlier_s: float, later_s: float, site: Site) -> float:
 
 
 def without_lifted(searched: Looked, looked: Looked, refused: Sequence[bool]) -> Looked:
-    """Return the second pass with the first one's answer where that refused a sun, and a refused epoch's place did not.
+    """Return the second pass with the first one's rejections, where a refused epoch's prediction lifted them.
 
     Parameters
     ----------

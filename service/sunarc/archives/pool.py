@@ -42,7 +42,7 @@ class ProcessRunner:
         return [run(one) for one in given]
 
     def look(self, chunks: Sequence[Chunk], done: Done, *, run: Run = look_at) -> None:
-        """Have all chunks processed; `done` is called with each and its answers, in their order.
+        """Process all chunks in order; `done` is called with each and its answers.
 
         An image whose process dies (a fault of a decoder, too little memory) is left out, and the others go on.
         """
@@ -92,7 +92,7 @@ def _submit_chunk(pool: ProcessPoolExecutor, run: Run, chunk: Chunk) -> Future[l
 
 
 def _run_alone(run: Run, chunk: Chunk) -> list[Answer]:
-    """Return the answers of a chunk in a process of its own; that it died is an answer, too."""
+    """Return the answers of a chunk in a process of its own; the finding where that process dies."""
     with _new_pool(1) as pool:
         try:
             return _submit_chunk(pool, run, chunk).result()

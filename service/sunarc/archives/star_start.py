@@ -33,7 +33,7 @@ _SAME_LENS = 0.02
 
 
 class CameraNightImages(NamedTuple):
-    """Images of a camera's nights in the order of time, and the states that are known of it."""
+    """Images of a camera's nights in order of time, and its known states."""
 
     images: tuple[ArchiveImage, ...]
     camera: ArchiveCamera

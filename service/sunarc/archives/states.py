@@ -77,7 +77,7 @@ _MISFIT_PX = 0.15
 
 
 class State(NamedTuple):
-    """A camera as it was for a time.
+    """State of a camera for a time: lens, pose and clock offset.
 
     calibration: lens and pose. lens, pose: numbers that tell them from those of other states. clock_offset_s: how far
     the stated times are ahead of UTC. sigma_px: robust scatter of its sightings per axis.
@@ -98,7 +98,7 @@ def known_state(calibration: Calibration, points: Sightings) -> State:
 
 
 class ArchiveCamera(NamedTuple):
-    """Description of a camera: site, image size (width, height), options of its fit, and its image circle."""
+    """Site, image size (width, height), fit options and image circle of a camera."""
 
     site: Site
     size: tuple[int, int]
@@ -125,7 +125,7 @@ class ArchiveCamera(NamedTuple):
 
 
 class Found(NamedTuple):
-    """The states of a camera, in the order in which they were found; the finding why they are missing."""
+    """States of a camera in the order in which they were found; the finding where none was."""
 
     states: tuple[State, ...]
     finding: Finding | None = None
@@ -447,7 +447,7 @@ _SURE = 0.999
 def surely_held(
     epochs: Sequence[Epoch], points: Sightings, states: Sequence[State], camera: ArchiveCamera
 ) -> tuple[Epoch, ...]:
-    """Return epochs without the times about a change at which the sightings do not distinguish the states.
+    """Return epochs shortened by the times around changes at which the sightings fit both states.
 
     Where two states see the sun at about one place, a change between them is some sightings off.
 
@@ -571,7 +571,7 @@ def _in_pose(calibration: Calibration, rotation: tuple[float, float, float]) -> 
 
 
 def joined(points: Sightings, path: IntArray, states: Sequence[State]) -> Sightings:
-    """Return the sightings with times that every state's clock is corrected in, and poses as epochs."""
+    """Return the sightings with times corrected by each state's clock offset, and poses as epochs."""
     offsets = np.array([state.clock_offset_s for state in states])
     poses = np.array([state.pose for state in states])
     return replace(points, unix_s=points.unix_s - offsets[path], epoch=poses[path])

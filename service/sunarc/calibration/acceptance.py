@@ -73,7 +73,7 @@ _NEW = 1e-3
 
 
 def in_any_season(calibration: Calibration, share: float) -> Calibration:
-    """Return a calibration with a focal length that may be another by now, by a share of itself (1-sigma).
+    """Return a calibration whose focal length may have changed since by a share of itself (1-sigma).
 
     What it states of the sky stays that of its own time.
     """
@@ -86,7 +86,7 @@ def in_any_season(calibration: Calibration, share: float) -> Calibration:
 
 
 def unseen_points(points: Sightings, current: Calibration) -> Sightings:
-    """Return the sightings of the latest pose epoch, of days that a calibration does not rest on."""
+    """Return the sightings of the latest pose epoch from days that a calibration does not use."""
     known_days = [date_to_day(date.fromisoformat(day)) for day in current.evidence.days]
     day = solar_days(points.unix_s, longitude=current.site.longitude)
     return points.select((points.epoch == points.epoch.max(initial=0)) & ~np.isin(day, known_days))
@@ -94,7 +94,7 @@ def unseen_points(points: Sightings, current: Calibration) -> Sightings:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Succession:
-    """Fit that may take the place of the calibration in use."""
+    """Candidate calibration and the calibration in use that it may replace."""
 
     candidate: Calibration
     current: Calibration | None = None
@@ -119,19 +119,19 @@ class Succession:
 
 
 def cross_validation(succession: Succession) -> Data | None:
-    """Return the errors on days left out, as found and as expected."""
+    """Return the candidate's error on days left out of the fit, as found and as expected."""
     found, expected = (getattr(succession.candidate.metrics, f"held_out_{one}_px") for one in ("rmse", "expected"))
     return None if found is None or expected is None else {"rmse_px": found, "expected_px": expected}
 
 
 def other_hand(succession: Succession) -> Data | None:
-    """Return that the handedness is another one."""
+    """Return data where the candidate's handedness differs from that of the calibration in use."""
     current = succession.current
     return None if current is None or current.camera.mirrored == succession.candidate.camera.mirrored else {}
 
 
 def contradiction(succession: Succession) -> Data | None:
-    """Return over which share of the sky both contradict each other."""
+    """Return the share of the sky over which candidate and current calibration contradict each other."""
     if succession.changed_from is None:
         return None
     share, worst_px = disagreement(succession.candidate, succession.changed_from)
@@ -139,13 +139,13 @@ def contradiction(succession: Succession) -> Data | None:
 
 
 def growth(succession: Succession) -> Data | None:
-    """Return the stated uncertainties of both."""
+    """Return the stated uncertainties of candidate and current calibration."""
     current = succession.changed_from
     return None if current is None else stated_sigmas(succession.candidate, current)
 
 
 def allowed_growth(succession: Succession) -> float:
-    """Return 1.15; 4 of a fit of more days and about as many sightings."""
+    """Return the factor by which the stated uncertainty may grow: 1.15; 4 for more days and as many sightings."""
     current = succession.current
     return _FOUND_OUT if current is not None and _knows_more(succession.candidate, current) else _WORSE
 
@@ -156,7 +156,7 @@ def largest_growth(succession: Succession) -> float:
 
 
 def no_change(succession: Succession) -> Data | None:
-    """Return that both say the same."""
+    """Return data where candidate and current calibration are equal within their uncertainty."""
     return {"limit": _NEW} if succession.comparable is not None and succession.changed_from is None else None
 
 
@@ -181,13 +181,13 @@ def stated_sigmas(candidate: Calibration, current: Calibration) -> dict[str, flo
 
 
 def _knows_more(candidate: Calibration, current: Calibration) -> bool:
-    """Return whether a fit rests on days that the current one does not know, and on about as much in addition."""
+    """Return whether a fit uses days that the current one does not, and about as much in addition."""
     new, old = candidate.evidence, current.evidence
     return bool(set(new.days) - set(old.days)) and new.n_used > 0.8 * old.n_used
 
 
 def says_the_same(candidate: Calibration, current: Calibration) -> bool:
-    """Return whether both are of the same sightings, and differ by less than is stated."""
+    """Return whether two calibrations of the same sightings differ by less than is stated."""
     new, old = candidate.evidence, current.evidence
     if (new.days, new.n_used, candidate.method) != (old.days, old.n_used, current.method):
         return False
@@ -197,7 +197,7 @@ def says_the_same(candidate: Calibration, current: Calibration) -> bool:
 
 
 def _met_better(candidate: Calibration, current: Calibration, unseen: Sightings | None) -> bool:
-    """Return whether the candidate meets sightings that the current one does not know far better than that does."""
+    """Return whether the candidate predicts sightings that the current one did not use far better than that does."""
     noise = candidate.evidence.sigma_px * math.sqrt(max(candidate.evidence.inflation, 1.0))
     if unseen is None or len(unseen) == 0 or not noise > 0.0:
         return False
@@ -214,7 +214,7 @@ def chi_square(calibration: Calibration, points: Sightings, noise_px: float) -> 
 
 
 def distance_px(first: Calibration, second: Calibration) -> float:
-    """Return how far two cameras are apart at most over the sky that both see, px; infinite where they share none."""
+    """Return the largest distance of two cameras over their common sky, px; infinite where they share none."""
     directions = hemisphere()
     distance = np.linalg.norm(project(first.camera, directions) - project(second.camera, directions), axis=-1)
     return float(np.nanmax(distance)) if np.any(np.isfinite(distance)) else math.inf

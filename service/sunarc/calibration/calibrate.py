@@ -75,7 +75,7 @@ def prepared(
     parts: bool = True,
     tilt_known: bool = False,
 ) -> ChosenLens:
-    """Return the input of a fit with the usable sightings and the projection; arguments as of `calibrate`."""
+    """Return the input of a fit with usable sightings and a projection; arguments as for `calibrate`."""
     if min(image_size) < 16:
         raise InputError(field="image size", problem=f"{image_size} px", remedy="give width and height in px")
     usable = filter_sightings(points, site=site, image_size=image_size)
@@ -86,7 +86,7 @@ def prepared(
 
 
 def calibrated(job: Job, fitted: Fitted | None = None) -> Calibration:
-    """Return the calibration of a job whose projection is stated; by a part of the sightings where others contradict.
+    """Return the calibration of a job with a stated projection; by a part of the sightings where parts contradict.
 
     `fitted` is its fit, where it is there already.
     """

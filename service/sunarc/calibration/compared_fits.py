@@ -24,7 +24,7 @@ Name = TypeVar("Name")
 
 
 class ComparedLens(NamedTuple):
-    """A camera about which the evidence is evaluated, the sightings that it was found from, and the scales tried."""
+    """Camera to be compared by evidence: the sightings of its fit, and the scales tried."""
 
     problem: FitProblem
     observed: Sightings

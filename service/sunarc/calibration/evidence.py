@@ -33,7 +33,7 @@ T = TypeVar("T")
 
 
 class Limits(NamedTuple):
-    """Limits of one search for a change of a camera.
+    """Limits and priors of one search for a change of a camera.
 
     They differ by how often a search asks, and by what it observes.
     """
@@ -73,7 +73,7 @@ leans within a decade."""
 
 
 class Weighed(NamedTuple, Generic[T]):
-    """An explanation, the logarithm of its likelihood, and by how much it is rarer."""
+    """Explanation, its log likelihood, and how much rarer it is than others."""
 
     explanation: T
     log_evidence: float
@@ -81,7 +81,7 @@ class Weighed(NamedTuple, Generic[T]):
 
 
 def most_probable(weighed: Iterable[Weighed[T]]) -> Weighed[T]:
-    """Return the explanation with the largest evidence less its rarity; of equal ones the first."""
+    """Return the explanation with the largest evidence minus rarity; the first of equal ones."""
     return max(weighed, key=lambda one: one.log_evidence - one.rarer)
 
 
@@ -93,7 +93,7 @@ def factored(covariance: FloatArray) -> FloatArray:
 
 
 def whitened(covariance: FloatArray, stacked: FloatArray) -> tuple[FloatArray, float]:
-    """Return columns (n, m) in axes in which a covariance (n, n) is the unit one, and half its log determinant."""
+    """Return columns (n, m) whitened by a covariance (n, n), and half its log determinant."""
     from scipy.linalg import solve_triangular  # noqa: PLC0415 - a fit of one pose loads without it
 
     factor = factored(covariance)
@@ -250,7 +250,7 @@ class PixelResiduals:
 
 
 def false_density(distance_px: FloatArray, *, area_px2: float) -> FloatArray:
-    """Return the logarithm of how likely a false sighting is to be where it is: half of them near, half anywhere.
+    """Return the log density of a false sighting: half of them near the prediction, half anywhere in the image.
 
     Parameters
     ----------
@@ -346,7 +346,7 @@ def squared_sigmas(residual: FloatArray, covariance: FloatArray) -> FloatArray:
 
 
 def log_normal(covariance: FloatArray, sightings: PixelResiduals, inlier: BoolArray) -> float:
-    """Return the log density of the inliers together; 0 without inliers."""
+    """Return the joint log density of the inliers; 0 without inliers."""
     if not np.any(inlier):
         return 0.0
     both = np.repeat(inlier, 2)

@@ -33,14 +33,14 @@ none became the better one by the fit."""
 
 
 class Fitted(NamedTuple):
-    """The robust fit of one handedness, and its start."""
+    """Robust fit for one handedness, and its start."""
 
     start: Start
     fit: FitState
 
 
 class HandChoice(NamedTuple):
-    """The fit whose handedness is taken, the findings that refuse it, and those of an accepted one."""
+    """Fit of the chosen handedness, the findings that refuse it, and those of an accepted fit."""
 
     fitted: Fitted
     against: tuple[Finding, ...] = ()
@@ -48,7 +48,7 @@ class HandChoice(NamedTuple):
 
 
 def chosen_hand(fitted: Fitted, job: Job) -> HandChoice:
-    """Return the fit of the handedness that is stated or more probable, and the findings about the other one.
+    """Return the fit of the stated or more probable handedness, and the findings about the other one.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def chosen_hand(fitted: Fitted, job: Job) -> HandChoice:
 
 
 def named_other(fitted: Fitted | None, job: Job) -> tuple[Finding, ...]:
-    """Return the finding that the handedness which is not assumed fits far better, or alone; nothing otherwise."""
+    """Return the finding that the handedness not assumed fits far better, or alone; empty otherwise."""
     if fitted is None:
         stated: Hand = "yes" if job.options.mirrored == "yes" else "no"
         found = fit_handedness(job, _other_hand(stated), than=math.inf)
@@ -85,7 +85,7 @@ def named_other(fitted: Fitted | None, job: Job) -> tuple[Finding, ...]:
 
 
 def other_fits(other: Fitted, job: Job, *, compared: bool = True) -> tuple[Finding, ...]:
-    """Return the findings that another handedness fits better, or alone where it was compared with no camera.
+    """Return the findings that another handedness fits better, or that it alone gave a camera.
 
     The latitude of the other sign goes first where a camera that is not mirrored fits there about as well: near the
     equator it mostly does not, and both latitudes would name each other.
@@ -121,7 +121,7 @@ def other_fit_log_odds(fitted: Fitted, other: Fitted, job: Job) -> float:
 
 
 def log_odds_against_twin(fitted: Fitted, job: Job) -> float:
-    """Return the log odds of a tilted camera against the other handedness's; infinite where that is tilted as much.
+    """Return the log odds of a tilted camera against the other handedness's; infinite where both tilt alike.
 
     Asked whatever handedness is stated: at another latitude a mirror image of a level camera is that of a tilted one.
     """

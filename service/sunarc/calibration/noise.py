@@ -35,7 +35,7 @@ _LEAST_DISTANCE = 1e-3
 
 
 def neighbours(unix_s: FloatArray, run: IntArray) -> BoolArray:
-    """Return (n - 1,): whether sightings i and i + 1 follow each other at the usual cadence within one run."""
+    """Return (n - 1,): whether sightings i and i + 1 follow each other at the usual cadence within a run."""
     if unix_s.size < 2:
         return np.zeros(max(unix_s.size - 1, 0), dtype=bool)
     step = np.diff(unix_s)
@@ -148,7 +148,7 @@ class NoiseGroups(NamedTuple):
 
     @classmethod
     def of(cls, usable: Sightings) -> NoiseGroups:
-        """Return the course of sightings."""
+        """Return the groups, runs and neighbours of sightings."""
         run = 2 * (usable.day * (1 + int(usable.epoch.max(initial=0))) + usable.epoch) + usable.alone
         each_apart = np.where(usable.alone, -1 - np.arange(len(usable)), run)
         group = 2 * usable.kind + usable.alone

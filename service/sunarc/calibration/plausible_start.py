@@ -15,14 +15,14 @@ Hand = Literal["no", "yes"]
 
 
 class Start(NamedTuple):
-    """First cameras, one an epoch, and how implausible they are, in half squares."""
+    """First cameras, one for each epoch, and their implausibility in half squares."""
 
     cameras: list[Camera]
     cost: float
 
     @property
     def hand(self) -> Hand:
-        """The handedness of the cameras."""
+        """Handedness of the cameras: "yes" for mirrored images, "no" for others."""
         return "yes" if self.cameras[0].mirrored else "no"
 
 

@@ -76,7 +76,7 @@ def variance_inflation(start: Calibration) -> float:
 
 
 def gathered(camera: Camera, sightings: Sightings, inlier: BoolArray, *, inflation: float) -> Sightings:
-    """Return the inliers, neighbours averaged so that there are not too many."""
+    """Return the inliers, with neighbours averaged so that they are not too many."""
     true = sightings.select(np.flatnonzero(inlier))
     # rounded up, so that no more than MOST groups remain
     each = -(-len(true) // MOST)
@@ -162,7 +162,7 @@ def options_about(camera: Camera, options: CalibrationOptions) -> CalibrationOpt
 
 
 def stated_calibration(job: Job, camera: Camera, *, covariance: FloatArray, field: Field) -> Calibration:
-    """Return the calibration that a camera is of which these errors are stated, and of its sightings their noise."""
+    """Return the calibration of a camera with stated errors; its sightings give the noise."""
     without_fit = refused(job, ())
     return replace(
         without_fit,
@@ -177,7 +177,7 @@ def stated_calibration(job: Job, camera: Camera, *, covariance: FloatArray, fiel
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PoseFit:
-    """A known lens, posed.
+    """Fit of the pose of a known lens.
 
     Attributes
     ----------
@@ -194,7 +194,7 @@ class PoseFit:
 
 
 def fit_pose(start: Calibration, sightings: Sightings, *, turned_rad: float | None = None) -> PoseFit:
-    """Return a lens in the pose that sightings ask for.
+    """Return the pose fit of a known lens to sightings.
 
     Parameters
     ----------
@@ -260,7 +260,7 @@ def _prior_scales_for_turn(angle_rad: float) -> FloatArray:
 
 
 def tolerance_px(error_model: CameraErrorModel, camera: Camera, sightings: Sightings) -> FloatArray:
-    """Return (n,): how far a true sighting may lie off where the camera has not turned, 1-sigma, px."""
+    """Return (n,): 1-sigma, px, of a true sighting's distance from its prediction where the camera has not turned."""
     at = predicted(error_model, camera, sightings.directions)
     model_variance = np.nan_to_num(np.diag(joint_covariance(error_model, at)).reshape(-1, 2).mean(axis=1))
     return np.asarray(np.sqrt(sightings.variance + model_variance))
@@ -269,7 +269,7 @@ def tolerance_px(error_model: CameraErrorModel, camera: Camera, sightings: Sight
 def settled(
     error_model: CameraErrorModel, base: Camera, sightings: Sightings, inlier: BoolArray
 ) -> tuple[CameraErrorModel, MixtureFit]:
-    """Return the error model conditioned on sightings with outliers, linearised anew in every round."""
+    """Return the error model conditioned on sightings with outliers, linearised again in each round."""
     after = replace(error_model, mean=0.0 * error_model.mean)
     for _ in range(_ROUNDS):
         at, unchanged, about = _linearise_sightings(error_model, base, sightings, after.mean)
@@ -290,7 +290,7 @@ def _linearise_sightings(
 
 
 def _noise_factor(mixture: MixtureFit) -> float:
-    """Return by how much the sightings scatter more than they say, at least 1."""
+    """Return the ratio, at least 1, of the sightings' scatter to their stated sigma."""
     if mixture.inlier.sum() < _ENOUGH_FOR_SCALE:
         return 1.0
     return max(1.0, robust_sigma(np.sqrt(np.maximum(mixture.surprise, 0.0))))
@@ -321,7 +321,7 @@ def _condition_on_inliers(
 
 
 def _merge_gaussians(fits: list[CameraErrorModel], log_weight: FloatArray) -> CameraErrorModel:
-    """Return the one Gaussian with the mean and the covariance of all, by how probable their scales are."""
+    """Return one Gaussian with the mean and covariance of a weighted mixture."""
     weight = np.exp(log_weight - log_weight.max())
     weight[weight < _SMALLEST_WEIGHT] = 0.0
     weight /= weight.sum()

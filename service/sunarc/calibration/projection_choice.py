@@ -95,7 +95,7 @@ class ProjectionChoice(NamedTuple):
 
 
 class ChosenLens(NamedTuple):
-    """A job whose projection is stated or chosen, and the fits by which it was chosen; None and empty where stated."""
+    """Job with a stated or chosen projection, and the fits compared for the choice (None where stated)."""
 
     job: Job
     choice: ProjectionChoice | None = None

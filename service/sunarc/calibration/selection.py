@@ -1,4 +1,4 @@
-"""Which sightings a fit uses: the information of each direction, not how often it was observed; stars by image part.
+"""Selection of the sightings that a fit uses: by information for each direction, and stars by image part.
 
 A *pass* is the sun's way through one patch of the sky on one day. Passes are taken whole, so that neighbouring
 sightings still show how alike they err. Each patch takes passes up to its fill: those of the latest pose first, among
@@ -247,7 +247,7 @@ def _patch_of_slots(slots: FloatArray, site: Site, width_deg: float) -> IntArray
 
 
 def sigma_grade(sigma_px: FloatArray, member: IntArray, count: IntArray) -> IntArray:
-    """Return how often a pass's sigma is twice the record's usual one: 0, 1, …; 0 where none is stated."""
+    """Return how many times a pass's sigma doubles the record's usual one: 0, 1, …; 0 where none is stated."""
     has_sigma = np.isfinite(sigma_px) & (sigma_px > 0.0)
     if not np.any(has_sigma):
         return np.zeros(count.size, dtype=np.int64)
@@ -258,7 +258,7 @@ def sigma_grade(sigma_px: FloatArray, member: IntArray, count: IntArray) -> IntA
 
 
 def _reverse_bits(day: IntArray) -> IntArray:
-    """Return a fixed order of days in which any first few lie far apart."""
+    """Return an order of days in which the first few always lie far apart."""
     reverse = np.zeros_like(day)
     for bit in range(_DAY_BITS):
         reverse |= ((day >> bit) & 1) << (_DAY_BITS - 1 - bit)
@@ -276,7 +276,7 @@ def _count_before(count: IntArray, group: IntArray) -> IntArray:
 
 
 def _fill_to_limit(passes: _SunPasses, options: SelectionOptions) -> tuple[int, BoolArray]:
-    """Return the largest fill with which no more than `most` are used, and which passes it takes."""
+    """Return the largest number per patch with at most `most` sightings in all, and the passes that it takes."""
     share = options.most_per_epoch / options.most_per_patch
     low, high = 1, options.most_per_patch
     retained = (passes.before < high) & (passes.before_in_epoch < options.most_per_epoch)

@@ -36,7 +36,7 @@ _RIGHT_ANGLE = math.pi / 2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PriorTolerances:
-    """Distance of a stated camera from the true one: 1-sigma.
+    """Tolerances of a stated camera: 1-sigma of its distance from the true one.
 
     Attributes
     ----------

@@ -195,7 +195,7 @@ TABLE = {
 
 
 def fired(checks: Iterable[FitCheck], case: object) -> Iterator[tuple[FitCheck, Finding]]:
-    """Yield the checks that find something, with the finding; of two of one code the first."""
+    """Yield the checks whose limits are exceeded, each with its finding; of two with one code the first."""
     codes = set[str]()
     for check in checks:
         finding = None if check.code in codes else check.found(case)
@@ -205,7 +205,7 @@ def fired(checks: Iterable[FitCheck], case: object) -> Iterator[tuple[FitCheck, 
 
 
 def findings(checks: Iterable[FitCheck], case: object) -> tuple[Finding, ...]:
-    """Return the findings of checks."""
+    """Return the findings of the checks whose limits are exceeded."""
     return tuple(finding for _, finding in fired(checks, case))
 
 

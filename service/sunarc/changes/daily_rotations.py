@@ -164,7 +164,7 @@ def find_change(days: DailyRotations) -> tuple[PoseChange, bool] | None:
 
 
 def as_shown(days: DailyRotations, change: PoseChange) -> PoseChange | None:
-    """Return a change that was found elsewhere, with its size and gain by these days; None where they are too few."""
+    """Return a change found elsewhere, with size and gain measured on these days; None where they are too few."""
     n_before = int(np.searchsorted(days.day, change.time))
     if min(n_before, len(days.day) - n_before) < _FEWEST_AFTER:
         return None
@@ -193,7 +193,7 @@ def step_gains(days: DailyRotations) -> FloatArray:
 
 
 class _TriedChanges(NamedTuple):
-    """Of each change that is tried: the index of its first day, its time constant, and (n, c) its progress."""
+    """Changes to be tried: first day and time constant of each, and their progress (n, c)."""
 
     first: IntArray
     settling_days: FloatArray
@@ -201,7 +201,7 @@ class _TriedChanges(NamedTuple):
 
 
 def _list_tried_changes(day: FloatArray) -> _TriedChanges:
-    """Return steps, and turns that begin on every second day from the first on."""
+    """Return the changes to be tried: steps, and slow turns that begin on every second day."""
     n = len(day)
     steps = [(first, 0.0) for first in range(_FEWEST_BEFORE, n)]
     turns = [(first, tau) for tau in _SETTLING_DAYS for first in range(0, n - _FEWEST_AFTER + 1, 2)]
@@ -211,7 +211,7 @@ def _list_tried_changes(day: FloatArray) -> _TriedChanges:
 
 
 class _Fits(NamedTuple):
-    """Of each change: the gain, and its size and variance."""
+    """Gain of each tried change, its size and variance."""
 
     gain: FloatArray
     size: FloatArray

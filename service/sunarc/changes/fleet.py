@@ -1,4 +1,4 @@
-"""Evidence of neighbouring cameras about one another: whose rotation changed, and the possible causes.
+"""Comparison of neighbouring cameras: which camera turned, and the possible causes.
 
 The sun's directions are computed for the stated time at the stated site. A clock that is ahead, and a longitude that
 is stated too far east, both turn them about the celestial pole, and the camera seems turned the other way. A track of
@@ -144,7 +144,7 @@ def find_steps(cameras: Sequence[DailyRotations]) -> tuple[PoseChange | None, ..
 
 
 def agreeing(cameras: Sequence[DailyRotations], number: int, change: PoseChange) -> int:
-    """Return how many others show a camera's change, each by itself; 0 where they are no more than half of all.
+    """Return how many other cameras show a camera's change; 0 where they are no more than half of all.
 
     What differs between two cameras is either's: a change is the camera's own where its difference from others has it
     in about its whole size. What many cameras do alike, others than this one, is not distinguished from it.

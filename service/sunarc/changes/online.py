@@ -69,7 +69,7 @@ _AIR_SD = math.hypot(ASSUMED_AIR_SD, DAILY_AIR_SD)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ResidualModel:
-    """Sightings, a calibration, and how far the two may lie apart when nothing has changed.
+    """Residuals of sightings about a calibration, and their covariance without a change.
 
     Attributes
     ----------
@@ -167,14 +167,14 @@ _LONG, _ROUGH_PX = 10, 5.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ScoredHypothesis:
-    """An explanation with its score by the sightings."""
+    """Hypothesis of a change with its score."""
 
     of: Hypothesis
     mixture: MixtureFit
 
     @property
     def evidence(self) -> float:
-        """Logarithm of how likely it makes them."""
+        """Log likelihood of the sightings under the hypothesis."""
         return self.mixture.log_evidence
 
     @property
@@ -354,7 +354,7 @@ def lens_hypothesis(window: ResidualModel, rotation: Hypothesis, *, kind: Change
 
 
 def _lens_hypotheses_alone(window: ResidualModel) -> list[ScoredHypothesis]:
-    """Return a change of the lens where nothing has agreed for long, and no turn explains it."""
+    """Return lens changes where sightings have long disagreed and no turn explains them."""
     late = window.watch.trusted[-_LONG:]
     if late.size < _LONG or np.any(late):
         return []
@@ -364,7 +364,7 @@ def _lens_hypotheses_alone(window: ResidualModel) -> list[ScoredHypothesis]:
 
 
 def rarity(kind: ChangeKind, *, clock_stepped: bool | None) -> float:
-    """Return the log odds against a kind of change, relative to a turn.
+    """Return the log odds of a turn against a kind of change, before any sighting.
 
     A clock that the host set is not rarer, and one that nothing watches (None) is set as often as a camera is turned.
     """
@@ -392,7 +392,7 @@ _ONSETS_BACK = (0, 2, 6, 14)
 
 
 class Drift(NamedTuple):
-    """A drift: its first sighting, amplitude (px) and correlation time (s), and the slope (px/s) of a ramp, 1-sigma."""
+    """Drift: its first sighting, amplitude (px), correlation time (s), and the 1-sigma slope (px/s) of a ramp."""
 
     begin: int
     amplitude_px: float
@@ -479,7 +479,7 @@ def describe_change(
     alike: list[int],
     perhaps: tuple[ChangeKind, ...] = (),
 ) -> PoseChange:
-    """Return the change that an explanation amounts to.
+    """Return the change that a hypothesis stands for, with its size.
 
     Parameters
     ----------
@@ -513,7 +513,7 @@ def describe_change(
 
 
 def change_finding(change: PoseChange) -> Finding:
-    """Return the finding of a change, which each that is found online has."""
+    """Return the finding of a change found online."""
     if change.finding is None:
         raise ValueError(f"a change by {change.cause} has no finding")
     return change.finding
@@ -608,7 +608,7 @@ def update_window(
     clock_stepped: bool | None = False,
     posed_from_few: bool = False,
 ) -> tuple[SightingWindow, PoseChange | None]:
-    """Return the remembered sightings after one more, and the change that it makes plain, if any.
+    """Return the window with one more sighting, and the change that it shows, if any.
 
     Parameters
     ----------
@@ -638,14 +638,14 @@ def update_window(
 
 
 def biased(watch: SightingWindow) -> bool:
-    """Return whether the trusted sightings of late lie off all to one side."""
+    """Return whether the recent trusted sightings all lie to one side of the prediction."""
     agreeing = watch.surprise[watch.trusted]
     spans = [agreeing[-span:] for span in _SPANS if agreeing.shape[0] >= span]
     return any(float(np.sum(part.sum(axis=0) ** 2)) / part.shape[0] > _BIASED for part in spans)
 
 
 def distrusted(watch: SightingWindow) -> bool:
-    """Return whether half of the last sightings disagree with those before them, the last one too."""
+    """Return whether half of the last sightings, the very last included, disagree with those before."""
     late = watch.trusted[-_LATEST:]
     return not watch.trusted[-1] and int(np.sum(~late)) >= _DISTRUSTED
 

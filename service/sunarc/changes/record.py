@@ -1,4 +1,4 @@
-"""Moves of the camera within a record: where one pose leaves a jump, and which of them two poses explain.
+"""Moves of the camera within a record: search for jumps, and comparison with a second pose.
 
 The residuals of one pose run on smoothly through all that lens and sky do, within a day and from a day to the next at
 the same hour. A move makes them jump. A jump is a suggestion only: a move counts when two poses lower the robust cost,
@@ -63,7 +63,7 @@ _Fit = Callable[..., Calibration]
 
 
 class Moved(NamedTuple):
-    """A calibration, and the sightings as it was given them: numbered by the pose that they belong to."""
+    """Calibration of a camera that may have moved, and its sightings numbered by pose."""
 
     calibration: Calibration
     points: Sightings
@@ -155,7 +155,7 @@ def _fit_with_move_at(row: int, points: Sightings, usable: Sightings, begin: Cam
 
 
 def best_row(near: slice, usable: Sightings, cameras: Sequence[Camera]) -> int:
-    """Return which row a move came before, by the cameras before and after it.
+    """Return the row before which a move took place, by the cameras before and after it.
 
     Parameters
     ----------
@@ -209,7 +209,7 @@ def jumps_within_days(residual: FloatArray, usable: Sightings) -> list[tuple[int
 
 
 def line_misses(residual: FloatArray, time: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return by how much the lines through the sightings before and after each gap miss one another, px.
+    """Return the misfit, px, between straight lines through the sightings before and after each gap.
 
     Both have one slope. With it the smaller of the 1-sigmas per axis about the two, px.
     """
@@ -330,7 +330,7 @@ def find_pose_steps(
 
 
 class StepSearch(NamedTuple):
-    """Inputs of a search for steps of the pose in a record."""
+    """Search for steps of the pose in a record: its inputs and stages."""
 
     site: Site
     image_size: tuple[int, int]
@@ -407,7 +407,7 @@ def _thin_by_day(points: Sightings, site: Site) -> tuple[Sightings, IntArray]:
 
 
 def step_spans(days: DailyRotations) -> list[tuple[int, int]]:
-    """Return the first and last day about each step of the daily rotations, the clearest first."""
+    """Return the first and last day around each step of the daily rotations, the clearest first."""
     gain = step_gains(days)
     found: list[tuple[int, int]] = []
     while len(found) < _MOST_PLACES and gain.max(initial=0.0) > DAYS.gain:

@@ -53,7 +53,7 @@ FLOOR_PX = 1e-3
 
 
 class Amplitudes(NamedTuple):
-    """Noise of the residuals, in units of the core's 1-sigma, and its scales by their place in the grid."""
+    """Noise amplitudes of the residuals in units of their core's 1-sigma, and their scales, as grid indices."""
 
     white: float = 1.0
     autoregressive: float = 0.0
@@ -75,7 +75,7 @@ _MISFIT_ANGLES = (math.radians(9.0), math.radians(20.0))
 
 
 class Episode(NamedTuple):
-    """An interval in which detections drift by about an amplitude (px) with a correlation time (s)."""
+    """Interval in which detections drift by about an amplitude (px) with a correlation time (s)."""
 
     begin_s: float
     end_s: float
@@ -85,7 +85,7 @@ class Episode(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StepRows:
-    """Gathered sightings near a step, and kernels between them, each (n, n)."""
+    """Grouped sightings near a step, and the kernels between them, each (n, n)."""
 
     unix_s: FloatArray
     directions: FloatArray

@@ -74,7 +74,7 @@ class WatchOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sighting:
-    """One sighting as the watch sees it.
+    """Sighting as the change detection uses it.
 
     Attributes
     ----------
@@ -92,7 +92,7 @@ class Sighting:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SightingWindow(Sightings):
-    """The last sightings, the oldest first; a value: every look makes a new one.
+    """Last sightings, the oldest first; immutable.
 
     Attributes
     ----------
@@ -106,11 +106,11 @@ class SightingWindow(Sightings):
     surprise: FloatArray = field(default_factory=lambda: np.zeros((1, 2)))
 
     def since(self, unix_s: float) -> SightingWindow:
-        """Return the sightings from a moment on."""
+        """Return the sightings from a time on."""
         return self.select(self.unix_s >= unix_s)
 
     def last(self, count: int) -> SightingWindow:
-        """Return the last ones."""
+        """Return the last `count` sightings."""
         return self.select(np.arange(len(self)) >= len(self) - count)
 
     def append_sighting(self, sighting: Sighting, *, trusted: bool, surprise: FloatArray) -> SightingWindow:
@@ -128,7 +128,7 @@ class SightingWindow(Sightings):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Hypothesis:
-    """Sightings from one on under a change.
+    """Hypothesis that the sightings from one on follow a change.
 
     Attributes
     ----------

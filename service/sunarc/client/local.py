@@ -14,7 +14,7 @@ from .transport import ImagerError
 
 
 class LocalImager:
-    """Answers as `Imager` does, without asking the service but for a new calibration.
+    """Client that evaluates an imager's calibration locally, and asks the service only for a new calibration.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ _NPY = "application/x-npy"
 
 
 class Requests:
-    """Common part of the requests of `Imager`, which describes the parameters."""
+    """Base of `Imager` and `Hub` with their common requests."""
 
     def __init__(
         self,

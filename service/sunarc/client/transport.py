@@ -128,7 +128,7 @@ class _NoRedirect(urllib.request.HTTPRedirectHandler):
 
 
 class Transport:
-    """Asks one service, at its own address alone: a redirect is an `ImagerError` that names the new address.
+    """HTTP requests to one service at its own address; a redirect is an `ImagerError` that names the new address.
 
     Parameters
     ----------
@@ -207,7 +207,7 @@ class Transport:
         raise AssertionError("unreachable")
 
     def lines(self, path: str, *, headers: Mapping[str, str], silent_s: float) -> Iterator[str]:
-        """Yield the lines of an answer that goes on, until it ends or nothing comes for a time; ImagerError if refused.
+        """Yield the lines of an endless answer, until it ends or nothing comes for `silent_s`; ImagerError if refused.
 
         Nothing is asked again.
         """

@@ -27,7 +27,7 @@ def evenly_spread(size: int, *, most: int) -> IntArray:
 
 
 def even_parts(values: IntArray, *, most: int) -> IntArray:
-    """Return (n,): the part, from 0, of each value (n,): so many at most, each a run of about as many distinct values.
+    """Return (n,): part numbers from 0, at most `most`, each a run of about as many distinct values.
 
     Of days they are runs of whole days; of the rows of a record halves or thirds of it.
     """
@@ -43,7 +43,7 @@ def picked(table: _Table, which: Rows) -> _Table:
 
 
 def stacked(parts: Sequence[_Table]) -> _Table:
-    """Return a frozen dataclass of columns, each (n, ...), with the rows of several, at least one, in their order."""
+    """Return a frozen dataclass of columns (n, ...) with the rows of several such, in their order."""
     columns: Any = parts[0]
     names = [one.name for one in fields(columns) if isinstance(getattr(columns, one.name), np.ndarray)]
     rows: _Table = replace(columns, **{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})

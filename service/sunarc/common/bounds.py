@@ -21,7 +21,7 @@ from sunarc.common.errors import InputError
 
 @dataclass(frozen=True, slots=True)
 class OneOf:
-    """The values that a `Literal` permits."""
+    """Bound of the values that a `Literal` permits."""
 
     choices: tuple[object, ...]
 

@@ -25,11 +25,11 @@ from pathlib import Path
 
 
 class SunarcError(Exception):
-    """Root of the errors that are reported in one line."""
+    """Base of the errors that are reported in one line."""
 
 
 class InputError(SunarcError):
-    """Input that cannot be used.
+    """Error of input that cannot be used.
 
     Parameters
     ----------
@@ -55,15 +55,15 @@ class ConflictError(InputError):
 
 
 class ConfigurationError(SunarcError):
-    """Settings that cannot be run with."""
+    """Error of settings with which the service cannot run."""
 
 
 class SchemaError(ConfigurationError):
-    """The database's revision is not the one this version needs."""
+    """Error of a database at another revision than this version needs."""
 
 
 class OutsideError(SunarcError):
-    """A disk, a port or a peer failed."""
+    """Error of a disk, a network peer or a port."""
 
 
 @contextmanager
@@ -76,24 +76,24 @@ def disk_errors(path: Path) -> Iterator[None]:
 
 
 class StoreFullError(OutsideError):
-    """The disk of the database, or that of its temporary files, is full."""
+    """Error of a full disk: the database's, or that of its temporary files."""
 
 
 class CameraError(SunarcError):
-    """An exposure failed."""
+    """Error of a failed exposure."""
 
 
 class CameraTimeoutError(CameraError):
-    """No frame came in time."""
+    """Error of a frame that did not come in time."""
 
 
 class CameraSilentError(CameraTimeoutError):
-    """Not a single packet of a frame came."""
+    """Error of a frame of which not a single packet came."""
 
 
 class CameraLostError(CameraError):
-    """The connection to the camera is gone."""
+    """Error of a camera whose connection is gone."""
 
 
 class ExposureMismatchError(CameraLostError):
-    """Frames contradict their exposure times again and again; the connection is to be made anew."""
+    """Error of frames that repeatedly contradict their exposure times; the connection is made again."""

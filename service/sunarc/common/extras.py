@@ -36,7 +36,7 @@ def extra_module(name: str, *, extra: str) -> Any:  # noqa: ANN401 - a module
 
 
 def require_extra(extra: str, *, what: str) -> None:
-    """Refuse a function whose extra is not installed.
+    """Raise InputError where an extra that a function needs is not installed.
 
     Parameters
     ----------

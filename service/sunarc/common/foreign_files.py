@@ -24,7 +24,7 @@ _FLAGS = os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC
 
 
 class UnfitFileError(OSError):
-    """A file that is not read however often it is tried: it is not a regular one, or too large."""
+    """Error of a file that is never read: not a regular one, or too large."""
 
 
 def open_regular(path: Path) -> BinaryIO:

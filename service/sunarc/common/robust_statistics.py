@@ -1,4 +1,4 @@
-"""PriorScales, weights and losses that a few gross errors do not move.
+"""Scales, weights and losses that a few gross errors do not change.
 
 How much a sighting counts is Tukey's biweight of how far it lies off, about a scale found in the data.
 """
@@ -68,7 +68,7 @@ _CORRECTION = 1.0 - 0.5 * _KEEP**2 * _TAIL / (1.0 - _TAIL)
 
 
 def is_shown(residuals: FloatArray) -> BoolArray:
-    """Return (n,): which residuals (n, 2) are of directions that the camera sees."""
+    """Return (n,): which residuals (n, 2) are of directions within the camera's field."""
     return np.asarray(np.any(residuals != UNSEEN_PX, axis=-1))
 
 
@@ -89,7 +89,7 @@ def tukey_loss(distance: FloatArray, *, sigma: float) -> FloatArray:
 
 
 def surely_well_behaved(n: int, unknowns: int, share: float = WELL_BEHAVED) -> float:
-    """Return the share of n sightings that a scale starts from, where so many unknowns were fitted to them.
+    """Return the share of n sightings from which a robust scale is estimated after fitting some unknowns.
 
     A camera of 20 unknowns passes through 10 of 20 sightings, and with the scale of these, 0, all others would count
     nothing: nearly twice as many numbers as there are unknowns have to be met.

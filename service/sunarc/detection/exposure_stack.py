@@ -68,7 +68,7 @@ def detect_disc_in_colours(photo: Photo, *, expectation: Expectation | None = No
 
 
 def is_short(photo: Photo) -> bool:
-    """Return whether an image in colours is so dark that the disc stands alone in it."""
+    """Return whether a colour image is so dark that the sun's disc is visible without glare."""
     if photo.image.ndim != 3:
         return False
     light = linear_sum(photo.image[::8, ::8], photo.full_scale)
@@ -76,7 +76,7 @@ def is_short(photo: Photo) -> bool:
 
 
 class _DiscOfStack(NamedTuple):
-    """The disc as several short exposures show it: place, 1-sigma, and that in the shortest with a position."""
+    """Disc common to several short exposures: place, 1-sigma, and detection in the shortest of them."""
 
     x: float
     y: float
@@ -141,7 +141,7 @@ def _has_disc_shape(found: Detection, photo: Photo) -> bool:
 
 
 def _judge_disc(disc: _DiscOfStack, ordered: Sequence[Photo], accepted: Sequence[Detection]) -> Detection:
-    """Return the stack's sighting at the disc; not accepted where no glare is about it, or another thing was."""
+    """Return the stack's sighting at the disc; rejected without glare about it, or where another place was accepted."""
     at = replace(
         disc.shortest, method="paper", accepted=True, verdict="clear", x_px=disc.x, y_px=disc.y, sigma_px=disc.sigma_px
     )
@@ -208,7 +208,7 @@ def _median_light(image: Image, full_scale: int) -> float:
 
 
 def _outshines_sky(dot: Detection, ordered: Sequence[Photo]) -> bool:
-    """Return whether the disc is so much lighter than the sky as the sun is; True where the exposures are not known."""
+    """Return whether the disc is as much brighter than the sky as the sun is; True where exposures are unknown."""
     if dot.exposure_us is None or dot.peak_fraction is None:
         return True
     skies = [

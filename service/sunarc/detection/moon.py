@@ -398,7 +398,7 @@ def _distance_in_radii(stamp: Pixels, centre: FloatArray, edges_px: FloatArray) 
 
 
 def _measure_haze(stamp: Pixels, fitted: MoonFit, longest: float) -> float:
-    """Return the light of the sky just outside of the disc over the disc's, above that at the stamp's edge."""
+    """Return the sky's light just outside the disc over the disc's, above the level at the stamp's edge."""
     rows, columns = np.indices(stamp.counts.shape)
     far = np.hypot(columns + stamp.origin[0] - fitted.x_px, rows + stamp.origin[1] - fitted.y_px)
     used, blurred = np.isfinite(stamp.variance), longest + 3.0 * fitted.width_px

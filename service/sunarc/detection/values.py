@@ -35,7 +35,7 @@ BAYERS: tuple[Bayer, ...] = get_args(Bayer)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Detection:
-    """Result of looking for the sun, or for the moon (`moon`), in one image.
+    """Result of a search for the sun, or for the moon (`moon`), in one image.
 
     Attributes
     ----------
@@ -269,7 +269,7 @@ class Stars:
 
     @property
     def sound(self) -> BoolArray:
-        """Which are neither clipped nor near full scale, (n,)."""
+        """Stars that are neither clipped nor near full scale, (n,)."""
         return np.asarray(~self.saturated & (self.peak_fraction < MOST_PEAK))
 
     def select(self, which: BoolArray | IntArray) -> Stars:

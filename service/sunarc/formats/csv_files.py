@@ -39,7 +39,7 @@ class RowPlaces(NamedTuple):
     number: IntArray
 
     def of(self, row: int) -> str:
-        """Return the place of a row."""
+        """Return the place of a row as text."""
         return f"{self.text} {self.number[row]}"
 
 
@@ -266,7 +266,7 @@ class _CsvRows(NamedTuple):
         )
 
     def where(self, row: int, column: str) -> str:
-        """Return where a cell stands."""
+        """Return the place of a cell as text."""
         return f"{self.name}, line {self.line[row]}, {column}"
 
     def read(self, column: str, read: Callable[..., float]) -> FloatArray:

@@ -207,7 +207,7 @@ class Exported:
 
 
 def file_notes(document: Mapping[str, Any]) -> list[str]:
-    """Return the head of every file: who made it of which calibration, and the conventions."""
+    """Return the notes at the head of every file: the writing program, the calibration, and the conventions."""
     software, limit = document["software"], document["uncertainty"].get("sigma_limit_deg")
     return [
         f"{software['name']} {software['version']}: camera {document['camera']}, calibration {document['id']}",

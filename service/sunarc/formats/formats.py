@@ -159,7 +159,7 @@ def _read_npz(content: bytes, *, name: str) -> View:
 
 
 def _lone_file(read: Callable[..., View]) -> Read:
-    """Return a reader of files that name no other."""
+    """Return a reader of files that refer to no other file."""
 
     def reader(content: bytes, /, *, name: str, beside: Beside) -> View:
         del beside
@@ -234,7 +234,7 @@ def _export_virtualsky(calibration: Calibration, document: Document) -> Exported
 def _export_and_read_back(
     name: str, write: WriteFiles, calibration: Calibration, document: Document, *, says: bool
 ) -> Exported:
-    """Return the files of a format, the first of which is read for the error; it says that where it can hold a text."""
+    """Return the files of a format, with the error found by reading them back."""
     notes = file_notes(document)
     written = write(calibration, document, notes)
     file = next(iter(written))
@@ -301,7 +301,7 @@ def _file_format(
     inside: tuple[bytes, ...] = (),
     says: bool = True,
 ) -> Format:
-    """Return a format whose error is that of its file, read back."""
+    """Return a format whose error is found by reading its file back."""
     return Format(
         name=name,
         file=file,

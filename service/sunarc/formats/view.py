@@ -33,7 +33,7 @@ _START_NODES = 40_000
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class View:
-    """A camera as a file describes it.
+    """Camera as a file describes it: functions from directions to pixels and back.
 
     Attributes
     ----------
@@ -200,7 +200,7 @@ _COMPARED_DIRECTIONS = 5003
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Differences:
-    """Size of differences.
+    """Statistics of the differences between two cameras.
 
     Attributes
     ----------

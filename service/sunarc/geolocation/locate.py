@@ -162,7 +162,7 @@ def _intersect_surface(
 def _solve_ray_length(
     start: FloatArray, ray: FloatArray, altitude: FloatArray, site: Site
 ) -> tuple[FloatArray, GeodeticPosition]:
-    """Return how long rays are until they meet the surface of an altitude, and where: a sphere first, then Newton."""
+    """Return the lengths of rays to the surface of an altitude, and the end points: sphere first, then Newton."""
     begin = geodetic_position(start, site)
     rise = np.sum(ray * begin.up, axis=-1)
     inner, outer = SEMI_MAJOR_M + begin.altitude, SEMI_MAJOR_M + altitude
@@ -177,6 +177,6 @@ def _solve_ray_length(
 
 
 def _slide_along_surface(ray: FloatArray, up: FloatArray) -> FloatArray:
-    """Return (n, 3, 3): how a point slides along the surface when its ray is shifted."""
+    """Return (n, 3, 3): displacement along the surface of a ray's end for a shift of the ray."""
     slope = np.sum(ray * up, axis=-1)[:, None, None]
     return np.asarray(np.eye(3) - ray[:, :, None] * up[:, None, :] / slope)

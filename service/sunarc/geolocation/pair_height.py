@@ -39,7 +39,7 @@ class PairView:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PairHeight:
-    """A point that two cameras see.
+    """Height of a point that two cameras see.
 
     Attributes
     ----------
@@ -125,7 +125,7 @@ def _require_angle(a: FloatArray, b: FloatArray, spreads: list[FloatArray]) -> N
 def _nearest_point_of_rays(
     a: FloatArray, b: FloatArray, base: FloatArray
 ) -> tuple[FloatArray, tuple[float, float], float]:
-    """Return the point (3,), the rays' lengths to where they are nearest, and how far they miss one another."""
+    """Return the point (3,) nearest to two rays, the lengths along both, and their distance there."""
     normal = np.cross(a, b)
     square = float(normal @ normal)
     along_a = float(np.cross(base, b) @ normal) / square

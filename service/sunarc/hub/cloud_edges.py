@@ -92,7 +92,7 @@ def _find_edge_times(series: SunSeries, rising: bool) -> FloatArray:  # noqa: FB
 
 
 def _delay_to_nearest(times: FloatArray, asked: FloatArray) -> FloatArray:
-    """Return how much later than each of the times asked for the nearest time is."""
+    """Return the delay, s, from each asked time to the nearest of other times."""
     if not len(times):
         return np.zeros(0)
     after = np.clip(np.searchsorted(times, asked), 1, max(len(times) - 1, 1))

@@ -213,7 +213,7 @@ class FeedStore(Part):
             return connection.execute(delete(quarantine).where(old)).rowcount
 
     def require_storing(self) -> None:
-        """Find out whether this role may and can store rows of every kind; on SQLite every user of the file may.
+        """Check that this role can store rows of every kind; on SQLite every user of the file may.
 
         Raises
         ------
@@ -343,7 +343,7 @@ class FeedStore(Part):
 
 
 def _bound_camera_name(connection: Connection, name: str) -> str:
-    """Return a name for the rows of a camera that nobody registered."""
+    """Return a name under which rows of an unregistered camera are counted."""
     q = quarantine.c
     known = connection.scalars(select(q.camera).where(q.reason == "unknown_camera")).all()
     return name if name in known or len(known) < _MOST_UNKNOWN else _OTHERS
@@ -389,7 +389,7 @@ _MOVE_ON = update(feed).where(
 
 
 def _open_condition() -> ColumnElement[bool]:
-    """Return the condition that something in quarantine is no gap that was closed since: rows followed it."""
+    """Return the SQL condition of rows in quarantine without the gaps that later rows have closed."""
     q = quarantine.c
     after = (feed.c.camera == q.camera, feed.c.installation == q.installation, feed.c.last_at > q.last_at)
     return or_(q.reason != "gap", ~exists().where(*after))
@@ -410,7 +410,7 @@ def _valid_status(status: object) -> dict[str, Any] | None:
 
 @dataclass(eq=False)
 class _Storing:
-    """Stores the rows of a batch in their order, and sets apart those that cannot be stored.
+    """Storage of a batch's rows in order; rows that cannot be stored are set apart.
 
     Parameters
     ----------

@@ -208,7 +208,7 @@ def _solar_date(time: datetime, longitude: float) -> date:
 
 @lru_cache(maxsize=8192)
 def _last_day_with_sun(latitude: float, longitude: float, hour: int) -> date | None:
-    """Return the last solar date on which the sun was 10° up, until 2 h before an hour; None in a polar night.
+    """Return the last solar date with the sun above 10° until 2 h before an hour; None in a polar night.
 
     Parameters
     ----------

@@ -76,7 +76,7 @@ def _east_north_m(origin: CameraRecord, camera: CameraRecord) -> FloatArray:
 
 @dataclass(eq=False)
 class _CachedReader:
-    """Reads a camera's days, once each.
+    """Reader of cameras' days that reads each once.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ class _CachedReader:
     now: datetime
 
     def __post_init__(self) -> None:
-        """Read nothing twice."""
+        """Begin with an empty cache."""
         self.rotations = cache(self._read_rotations)
         self.series = cache(self._read_sun_series)
         self.lags = cache(self._compute_lags)
@@ -157,7 +157,7 @@ def _document_site(record: CalibrationRecord, otherwise: Site) -> Site:
 
 
 def _check_camera(reading: _CachedReader, group: Sequence[CameraRecord]) -> CrossCheck:
-    """Return the result of the rest of a group about its first camera."""
+    """Return the cross-check of a group's first camera by the others."""
     rotations = [reading.rotations(one) for one in group]
     step = find_steps(rotations)[0]
     clocks = _estimate_clocks(reading, group)

@@ -29,7 +29,7 @@ _SIGMAS = 4.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Exposed:
-    """A frame as far as its brightness is judged: its counts, its stated exposure, its largest count."""
+    """Frame for the brightness checks: counts, stated exposure, largest count."""
 
     image: Image
     exposure_us: float
@@ -38,7 +38,7 @@ class Exposed:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Level:
-    """Mean of a group of pixels and its standard error, counts."""
+    """Mean of a group of pixels, and its standard error, counts."""
 
     mean: float
     error: float
@@ -102,7 +102,7 @@ def _make_pair(shorter: Exposed, longer: Exposed) -> _Pair:
 
 
 def _measure_light_ratio(pair: _Pair, *, most: float) -> float | None:
-    """Return the light of the shorter exposure in terms of the expected one; None where that is near enough to 1."""
+    """Return the ratio of the shorter exposure's light to the expected one; None where it is near 1."""
     bright, dark = (_select_neighbours(group, pair) for group in (_select_brightest(pair), pair.dark))
     if min(bright.size, dark.size) < _LEAST_BRIGHT_PX // 3:
         return None
@@ -119,7 +119,7 @@ def _measure_light_ratio(pair: _Pair, *, most: float) -> float | None:
 
 
 def _measure_saturated_light_ratio(pair: _Pair) -> float | None:
-    """Return the same where much of the longer exposure is saturated, though the shorter one says it should not be."""
+    """Return the light ratio where the longer exposure is saturated though the shorter predicts that it is not."""
     level = int(_SATURATED * pair.full_scale)
     if pair.histogram[level:].sum() < _MUCH_SATURATED * pair.long.size:
         return None
@@ -134,7 +134,7 @@ def _measure_saturated_light_ratio(pair: _Pair) -> float | None:
 
 
 def _select_brightest(pair: _Pair) -> IntArray:
-    """Return where the longer exposure is brightest without being near saturation."""
+    """Return the pixels where the longer exposure is brightest without being near saturation."""
     ceiling = int(_CEILING * pair.full_scale)
     n_brightest = max(_LEAST_BRIGHT_PX, pair.long.size // 2000)
     level = ceiling - 1 - int(np.searchsorted(np.cumsum(pair.histogram[:ceiling][::-1]), n_brightest))
@@ -142,7 +142,7 @@ def _select_brightest(pair: _Pair) -> IntArray:
 
 
 def _select_neighbours(indices: IntArray, pair: _Pair) -> IntArray:
-    """Return the pixels at the sides of those chosen, which were not chosen for their noise, nor for being hot."""
+    """Return the neighbours of chosen pixels: these were not chosen for noise, nor for being hot."""
     beside = (indices + _ASIDE_PX) % pair.long.size
     return beside[pair.long[beside] < _CEILING * pair.full_scale]
 

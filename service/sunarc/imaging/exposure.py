@@ -155,7 +155,7 @@ def next_sun_exposures(
 
 
 def _count_spoiled(state: SunExposureState, result: SunLook, peaks: Sequence[Peak]) -> int:
-    """Return the count of images without an answer; clouds leave it, a sun that was seen ends it."""
+    """Return the count of cycles without a usable exposure; clouds leave it unchanged, a detected sun resets it."""
     if result.spoiled:
         return state.cycles_spoiled + 1
     return 0 if peaks else state.cycles_spoiled
@@ -164,7 +164,7 @@ def _count_spoiled(state: SunExposureState, result: SunLook, peaks: Sequence[Pea
 def _exposures_without_sun(
     state: SunExposureState, result: SunLook, options: SunExposureOptions, bounds: ExposureBounds
 ) -> SunExposureState:
-    """Keep the exposures for a while, then wait for the sun with those of a clear sky at its present height."""
+    """Return the state without a sun: the exposures are kept for a while, then set for a clear sky at its height."""
     lost = state.cycles_lost + 1
     if lost < LOST_AFTER:
         return replace(state, cycles_lost=lost, cycles_steady=0)
@@ -176,7 +176,7 @@ def _exposures_without_sun(
 def _add_clear_sky_exposure(
     target_us: float, result: SunLook, options: SunExposureOptions, bounds: ExposureBounds, *, settled: bool
 ) -> tuple[float, ...]:
-    """Return the wanted exposure alone where the light is settled; through a veil, with the one for a clear sky."""
+    """Return the wanted exposure, alone in settled light; through a veil with one for a clear sky."""
     clear = _target_level(options) / result.clear_level_per_us if result.clear_level_per_us > 0.0 else math.inf
     unveiled = bounds.nearest(clear)
     if unveiled * _BRACKET_RATIO < target_us:

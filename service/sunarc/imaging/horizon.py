@@ -30,7 +30,7 @@ from sunarc.sky.sun import sun_directions
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class HorizonProfile:
-    """The horizon that the camera sees, by azimuth in whole degrees."""
+    """Horizon seen by the camera, by azimuth in whole degrees."""
 
     elevation_deg: FloatArray
     """(360,) highest elevation that is hidden; 0 where nothing is. NaN where the camera does not see."""
@@ -60,7 +60,7 @@ _OFFSETS_DEG = (-0.4, -0.2, 0.0, 0.2, 0.4)
 
 
 class Obstructions(NamedTuple):
-    """Obstructions of a camera's sky: by cells of its image, and as a horizon."""
+    """Obstructions of a camera's sky: as cells of its image, and as a horizon."""
 
     mask: ObstructionMask
     horizon: HorizonProfile

@@ -152,7 +152,7 @@ def shared_texture(now: ImageTiles, before: ImageTiles) -> float | None:
 
 
 def differs_by_noise(now: ImageTiles, before: ImageTiles) -> bool:
-    """Return whether two images of one shape differ as by noise: each textured tile by itself, up or down."""
+    """Return whether two images differ as by noise: each textured tile independently, up or down."""
     either = now.textured | before.textured
     change = np.where(either, np.sign(now.means - before.means), 0.0)
     products = np.concatenate([(change[1:] * change[:-1]).ravel(), (change[:, 1:] * change[:, :-1]).ravel()])

@@ -156,7 +156,7 @@ def first_coefficients(camera: Camera, x_hat: FloatArray, y_hat: FloatArray, tar
 
 
 def _fit_radius(camera: Camera) -> float:
-    """Return the radius that the fit counts in, so that its coefficients are of one size."""
+    """Return the radius by which the fit scales its coordinates, so that its coefficients are of one size."""
     return float(ideal_radius(camera.projection, math.pi / 4 if camera.projection == "perspective" else math.pi / 2))
 
 

@@ -94,7 +94,7 @@ def kernel_optics(camera: Camera) -> Optics:
 
 
 def mirror_offset(camera: Camera) -> float:
-    """Return width - 1 of a mirrored image, -1 of another: the number from which the kernels subtract x."""
+    """Return the number from which the kernels subtract x: width - 1 of a mirrored image, -1 of another."""
     return camera.width - 1.0 if camera.mirrored else -1.0
 
 

@@ -48,7 +48,7 @@ _REFUSED_REMEDY = "see print(calibration); or ask with accept_refused=True"
 
 
 class Calibration:
-    """A camera with its uncertainty and its verdict: made by `sunarc.calibrate` or `sunarc.load`.
+    """Camera with its uncertainty and verdict: made by `sunarc.calibrate` or `sunarc.load`.
 
     `print(calibration)` prints what the command `sunarc calibrate` prints. A calibration that is refused answers
     nothing unless it is asked with `accept_refused=True`. One that was loaded from another program's format states no
@@ -450,7 +450,7 @@ _MOST_DRAWS = 1000
 
 
 class Draws:
-    """Possible truths of a calibration, drawn from its uncertainty: ask each, and take the spread.
+    """Draws from a calibration's uncertainty: evaluate each, and take the spread.
 
     Examples
     --------

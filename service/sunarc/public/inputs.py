@@ -171,7 +171,7 @@ def check_image_size(value: object) -> tuple[int, int]:
 
 
 class Asked(NamedTuple):
-    """Columns of a question, as rows, and the shape that its answer has.
+    """Columns of a request as rows, and the shape of its answer.
 
     rows: (n, k). shape: of each column. like: the DataArray whose dimensions and coordinates the answer gets.
     """
@@ -198,7 +198,7 @@ class Asked(NamedTuple):
 
 
 def asked(**columns: Values) -> Asked:
-    """Return the columns of a question, broadcast against each other; those of xarray by their dimensions' names.
+    """Return the columns of a request, broadcast against each other; those of xarray by their dimensions' names.
 
     Raises
     ------
@@ -227,7 +227,7 @@ def one_time(time: Times, *, remedy: str) -> float:
 
 
 def asked_times(time: Times) -> Asked:
-    """Return times as a question: one column, seconds since 1970-01-01 UTC; see `unix_seconds`."""
+    """Return times as a request: one column, seconds since 1970-01-01 UTC; see `unix_seconds`."""
     unix_s = unix_seconds(time)
     return Asked(unix_s.reshape(-1, 1), unix_s.shape, data_array(time))
 
@@ -270,7 +270,7 @@ _OPTIONS = {
 
 @contextmanager
 def named_as_in_python() -> Iterator[None]:
-    """Give the errors of a command's function the names of the arguments."""
+    """Rename the fields of a command function's errors to the arguments of the Python function."""
     try:
         yield
     except InputError as error:

@@ -40,14 +40,14 @@ _DPI = 100
 
 
 def new_sheet(*, width_px: int, height_px: int) -> Figure:
-    """Return an empty figure of a size in px, with room made for all labels when it is drawn."""
+    """Return an empty figure of a size in px, with a layout that leaves room for all labels."""
     figure = Figure(figsize=(width_px / _DPI, height_px / _DPI), dpi=_DPI, layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 
 
 def letter(axes: Axes, *, x: str, y: str, title: str = "") -> None:
-    """Name the axes, with units, and give them a light grid."""
+    """Label the axes, with units, and give them a light grid."""
     axes.set_xlabel(x, fontsize=LETTERING_PT)
     axes.set_ylabel(y, fontsize=LETTERING_PT)
     axes.tick_params(labelsize=LETTERING_PT - 1.0)
@@ -58,13 +58,13 @@ def letter(axes: Axes, *, x: str, y: str, title: str = "") -> None:
 
 
 def key(axes: Axes, *, location: Location = "best", columns: int = 1) -> None:
-    """Draw the key of the labelled parts, if there are any."""
+    """Draw the legend of the labelled parts, if there are any."""
     if axes.get_legend_handles_labels()[0]:
         axes.legend(loc=location, ncols=columns, fontsize=LETTERING_PT - 1.0, framealpha=0.9, markerscale=1.6)
 
 
 def save_png(figure: Figure, path: Path) -> Path:
-    """Write a sheet as PNG and return where."""
+    """Write a figure as PNG, and return its path."""
     figure.savefig(path, format="png", dpi=_DPI, metadata={"Software": "sunarc"})
     return path
 
@@ -138,7 +138,7 @@ def draw_angles(axes: Axes, across: FloatArray, residuals: Residuals) -> None:
 
 
 def panel_limit(size: FloatArray, used: BoolArray) -> float:
-    """Return how far the panel reaches: the used sightings decide, where there are any."""
+    """Return the limit of a panel's axis: by the used sightings, where there are any."""
     shown = size[used] if np.any(used) else size
     largest = float(np.nanmax(shown, initial=0.0))
     return _HEADROOM * largest if largest > 0.0 else 1.0
@@ -196,7 +196,7 @@ def _draw_outline(axes: Axes, camera: Camera) -> None:
 
 
 def some_rows(which: BoolArray) -> NDArray[np.intp]:
-    """Return at most so many rows as arrows are drawn."""
+    """Return the rows that are drawn as arrows: at most a fixed number."""
     rows = np.flatnonzero(which)
     return rows[:: max(1, -(-rows.size // _MOST_ARROWS))]
 
@@ -221,7 +221,7 @@ _MOST_CONTOURS = 9
 
 
 def axes_or_new(axes: Axes | None, *, projection: str | None = None) -> Axes:
-    """Return axes, or new ones that a notebook shows."""
+    """Return the given axes, or those of a new figure that a notebook shows."""
     if axes is not None:
         return axes
     from matplotlib import pyplot as plt  # noqa: PLC0415 - it chooses a window system; sheets need none
@@ -247,7 +247,7 @@ def draw_uncertainty(axes: Axes, calibration: Calibration, ready: Lookup) -> Axe
 
 
 def _orient_as_picture(axes: Axes, camera: Camera) -> None:
-    """Turn axes as the picture is: x right, y down, all of it."""
+    """Orient axes as the picture is: x right, y down, over all of it."""
     axes.set_xlim(-0.5, camera.width - 0.5)
     axes.set_ylim(camera.height - 0.5, -0.5)
     axes.set_aspect("equal")

@@ -99,7 +99,7 @@ class StarImage:
         }
 
     def rows(self) -> IntArray:
-        """Return which of the matches are sightings: stars that are not clipped."""
+        """Return the rows of the matches that are sightings: stars that are not clipped."""
         if self.matches is None or self.stars is None:
             return np.zeros(0, dtype=np.int64)
         return np.flatnonzero(self.stars.sound[self.matches.detection])
@@ -128,7 +128,7 @@ def find_stars(paths: Sequence[Path], calibration: Calibration, options: StarOpt
 
 
 def named_or_flipped(seen: Sequence[StarImage], calibration: Calibration, options: StarOptions) -> list[StarImage]:
-    """Return images with the names that a calibration gives their stars; or their findings say how they are flipped."""
+    """Return images with their stars named; where that fails, with a finding that names the flip that would match."""
     return _try_flips(named_stars(seen, calibration, within_px=options.within_px), seen, calibration)
 
 
@@ -466,7 +466,7 @@ def blind_result(
 
 
 def _add_date_finding(image: StarImage, unix_s: float) -> StarImage:
-    """Return an image that was taken half a year or more from the night that gave the camera with that said."""
+    """Return an image with a finding where it was taken half a year or more from the night that gave the camera."""
     if image.time is None or abs(image.time.timestamp() - unix_s) < _HALF_A_YEAR_S:
         return image
     days, date = (image.time.timestamp() - unix_s) / DAY_S, f"{utc_time(unix_s):%Y-%m-%d}"
@@ -475,7 +475,7 @@ def _add_date_finding(image: StarImage, unix_s: float) -> StarImage:
 
 
 def _select_one_night(seen: Sequence[StarImage]) -> list[StarImage]:
-    """Return images of the night that has most of them, evenly over it."""
+    """Return images of the night with most of them, evenly spread over it."""
     timed = sorted(
         (one for one in seen if one.time is not None and one.stars is not None), key=lambda one: str(one.time)
     )

@@ -28,7 +28,7 @@ from sunarc.sources.files import require_inside
 
 
 class StatedStart(NamedTuple):
-    """A camera to begin at: the name of its file, its view, and the calibration where the file is a document of one."""
+    """Stated camera to begin a fit at: file name, view, and the calibration where the file is a document."""
 
     name: str
     view: View
@@ -183,7 +183,7 @@ def _require_suns(points: Sightings, options: CalibrationOptions) -> None:
 
 
 def without_clock_column(points: Sightings, clock_error_s: float | None) -> tuple[Sightings, float | None]:
-    """Return sightings whose clock is one error of all, and its bound: that of the option, or the column's largest."""
+    """Return sightings with one clock error common to all, and its bound: the option's, or the column's largest."""
     stated = points.clock_error_s[np.isfinite(points.clock_error_s)]
     if stated.size == 0:
         return points, clock_error_s
@@ -228,7 +228,7 @@ def require_lens(lens: LensType, *, image_size: tuple[int, int], options: Calibr
 def start_camera(
     start: StatedStart, image_size: tuple[int, int], options: CalibrationOptions, *, posed: bool = False
 ) -> Camera:
-    """Return the camera to begin at: that of a document, or the one closest to the view by a file of another format.
+    """Return the camera to begin at: a document's, or the one closest to another format's view.
 
     `posed` requires that the file has a pose.
     """

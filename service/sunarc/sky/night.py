@@ -66,7 +66,7 @@ class StarTable:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NightSky:
-    """Lights of the sky that shine as points at one moment.
+    """Stars and planets above the horizon at one time.
 
     Attributes
     ----------
@@ -94,7 +94,7 @@ class NightSky:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BodyPosition:
-    """Where the moon or a planet is.
+    """Position of the moon or a planet.
 
     Attributes
     ----------

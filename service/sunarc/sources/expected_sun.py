@@ -32,7 +32,7 @@ Seen = TypeVar("Seen", bound="WithMethod")
 def expectations(
     calibration: Calibration, unix_s: FloatArray, *, site: Site, misfit_px: float | None = None
 ) -> list[Expectation | None]:
-    """Return where the sun should be at some times (n,); None outside the camera's field or image.
+    """Return the predicted sun at times (n,); None outside the camera's field or image.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def _matrix_tuple(rows: list[list[float]]) -> tuple[tuple[float, float], tuple[f
 
 
 class WithPosition(Protocol):
-    """Prediction that a position is compared with."""
+    """Protocol of a detection or sighting that has a position."""
 
     @property
     def accepted(self) -> bool:
@@ -100,7 +100,7 @@ class WithMethod(WithPosition, Protocol):
 
 
 def is_consistent(sighting: WithPosition, expected: Expectation | None) -> bool:
-    """Return whether an accepted sighting lies where the sun should be: it need not be looked for again."""
+    """Return whether an accepted sighting lies where the sun is predicted, so that no second search is needed."""
     if not sighting.accepted or expected is None or sighting.x_px is None or sighting.y_px is None:
         return False
     sigma = math.hypot(expected.uncertainty_px, sighting.sigma_px or 0.0)
@@ -109,7 +109,7 @@ def is_consistent(sighting: WithPosition, expected: Expectation | None) -> bool:
 
 
 def as_predicted(found: Seen, expected: Expectation | None) -> Seen:
-    """Return a detection in an ordinary image, refused where it is farther from the prediction than both state."""
+    """Return a detection, rejected where it deviates from the prediction by more than both state."""
     if not found.accepted or found.method != "paper" or expected is None or is_consistent(found, expected):
         return found
     distance = math.hypot((found.x_px or 0.0) - expected.x_px, (found.y_px or 0.0) - expected.y_px)

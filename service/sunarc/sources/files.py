@@ -1,4 +1,4 @@
-"""Files as people hand them over: read whole, or refused in one line."""
+"""Files named by a user: read whole, or refused in one line."""
 
 from __future__ import annotations
 

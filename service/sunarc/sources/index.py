@@ -72,7 +72,7 @@ class ArchiveImage(NamedTuple):
 
     @property
     def named(self) -> ImageKey:
-        """Common name of its copies: its key without the folder."""
+        """Common name of an image's copies: its key without the folder."""
         return self.key._replace(folder="")
 
     @property
@@ -103,7 +103,7 @@ class Selector(NamedTuple):
     only: frozenset[str] | None = None
 
     def takes(self, name: str) -> bool:
-        """Return whether a file is the camera's, by its path below its source."""
+        """Return whether a file, by its path below its source, belongs to the camera."""
         chosen = self.only is None or name in self.only
         return chosen and fnmatch(PurePosixPath(name).name, self.files)
 
@@ -181,7 +181,7 @@ _MOST_COPIES = 0.2
 
 
 class Indexed(NamedTuple):
-    """Cameras with images, files that cannot be used, and cameras without images by day or mixed with others."""
+    """Cameras with images, files that cannot be used, and cameras that are refused."""
 
     cameras: list[CameraImages]
     failures: list[Failure]

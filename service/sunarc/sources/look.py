@@ -1,4 +1,4 @@
-"""A worker's part: read images, check them, look for the sun; it keeps nothing."""
+"""Detection of sun and stars in a chunk of images, as a worker does it; nothing is stored."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def pack_mask(mask: BoolArray) -> PackedMask:
 
 
 class Item(NamedTuple):
-    """An image of a chunk.
+    """Image of a chunk: file, number, exposure and prediction.
 
     expectation: where the sun should be; None without a prediction. outside: whether it should be outside the image.
     found: where one was accepted without a prediction, px. content: of its file when it was read before, where
@@ -248,13 +248,13 @@ def _try_detector(detect: Callable[[], Detection]) -> Detection | Finding:
 
 
 def _make_no_sun(method: Literal["disc", "paper"], exposure_us: float | None) -> Detection:
-    """Return the answer for an image in which the sun cannot be, by the method that would have looked for it."""
+    """Return the answer for an image in which the sun cannot be, with the method that would have been used."""
     outside = (Finding("sun_outside_image"),)
     return Detection(method=method, accepted=False, verdict="hidden", findings=outside, exposure_us=exposure_us)
 
 
 def _mark_reflection(found: Detection, item: Item) -> Detection:
-    """Return a detection; a reflection where nothing is at the prediction, and a sun was accepted elsewhere."""
+    """Return a detection, as a reflection where nothing is at the prediction and a sun was accepted elsewhere."""
     if item.expectation is None or item.found is None or found.x_px is not None or found.method != "paper":
         return found
     distance = math.hypot(item.found[0] - item.expectation.x_px, item.found[1] - item.expectation.y_px)

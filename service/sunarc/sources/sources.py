@@ -50,7 +50,7 @@ def open_source(address: str) -> ImageSource:
 
 @dataclass(frozen=True, slots=True)
 class Folder:
-    """The files below a folder, or a single file; see `ImageSource`."""
+    """Source of the files below a folder, or of a single file; see `ImageSource`."""
 
     address: str
 
@@ -87,7 +87,7 @@ def content_hash(content: bytes) -> str:
 
 
 class HashedSource:
-    """Another source, which keeps the content and hash of the file that was read last; see `ImageSource`."""
+    """Source that keeps the content and hash of the last file read from another one; see `ImageSource`."""
 
     def __init__(self, source: ImageSource) -> None:
         self._source = source
@@ -125,7 +125,7 @@ _STAMPS = ("ETag", "etag", "checksum", "mtime", "LastModified", "last_modified",
 
 @dataclass(frozen=True, slots=True)
 class Remote:
-    """The files below an address; see `ImageSource`."""
+    """Source of the files below an address of fsspec; see `ImageSource`."""
 
     address: str
 
@@ -168,7 +168,7 @@ _FAULTS = (tarfile.TarError, zlib.error, LZMAError, EOFError)
 
 @dataclass(frozen=True, slots=True)
 class TarFile:
-    """The files in a tar archive; see `ImageSource`."""
+    """Source of the files in a tar archive; see `ImageSource`."""
 
     address: str
 
@@ -243,7 +243,7 @@ def _list_archive(address: str, archive: tarfile.TarFile, *, compressed: bool) -
 
 @dataclass(frozen=True, slots=True)
 class ZipFile:
-    """The files in a zip archive; see `ImageSource`."""
+    """Source of the files in a zip archive; see `ImageSource`."""
 
     address: str
 

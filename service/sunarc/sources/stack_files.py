@@ -331,7 +331,7 @@ def _open_video(file: Path | bytes, name: str) -> Iterator[cv2.VideoCapture]:
 
 @contextmanager
 def _provide_path(file: Path | bytes, name: str) -> Iterator[Path]:
-    """Give a path of a file that is open; one within an archive is laid into memory, never onto the disk."""
+    """Provide a path of a file for a reader; one within an archive is written to memory, never to the disk."""
     try:
         opened = open_regular(file) if isinstance(file, Path) else _write_memory_file(file)
     except OSError as error:

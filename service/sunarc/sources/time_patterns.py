@@ -82,7 +82,7 @@ def _parse_local_time(texts: list[tuple[str, str]]) -> tuple[datetime, timedelta
 
 
 def _agrees_with_time(time: datetime, letter: str, text: str) -> bool:
-    """Return whether a part of a path is that of a time: of two parts that state a date one may be another date."""
+    """Return whether a part of a path agrees with a time; a folder may state another date."""
     if letter in "fzZ":
         return True
     written = time.strftime(f"%{letter}")

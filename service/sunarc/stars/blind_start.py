@@ -142,7 +142,7 @@ _LEAST_REACH_PX = 2.0
 
 
 class Refined(NamedTuple):
-    """A camera, and the scatter of the stars about it per axis, px."""
+    """Camera fitted to stars, and the scatter of the stars about it per axis, px."""
 
     camera: Camera
     scatter_px: float
@@ -151,7 +151,7 @@ class Refined(NamedTuple):
 def refined(
     camera: Camera, images: Sequence[NightDetections], rounds: Sequence[tuple[float, float]] = _ROUNDS
 ) -> Refined | None:
-    """Return the camera by least squares of bright stars of some images; None where too few come near."""
+    """Return the camera fitted by least squares to bright stars of some images; None where too few come near."""
     focal = camera.focal_length_px[0]
     start = camera.to_vector()[list(_FIT)]
     sigma = np.array(_SIGMA_LENS) * np.r_[focal, focal, focal, np.ones(7)]
@@ -169,7 +169,7 @@ def refined(
 def _nearest(
     camera: Camera, images: Sequence[NightDetections], radius: float, faintest: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return directions (n, 3) of stars and pixels (n, 2) of the detections nearest to them, each the other's."""
+    """Return directions (n, 3) of stars and pixels (n, 2) of their mutually nearest detections."""
     directions, pixels = [np.zeros((0, 3))], [np.zeros((0, 2))]
     for image in images:
         sky = _image_sky(camera, image.sky.select(image.sky.magnitude <= faintest))

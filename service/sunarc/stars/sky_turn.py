@@ -189,7 +189,7 @@ class Turning:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SearchRange:
-    """Where the camera is looked for.
+    """Range of lenses and poles that is searched.
 
     centre: px; radius_px: least and greatest of 90 degrees off the axis; polar_rad: least and greatest angle of the
     pole off the axis; width: of the image, px.

@@ -46,7 +46,7 @@ _KEPT_A_LENS, _DISTINCT = 6, math.cos(math.radians(5.0))
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Bright:
-    """Input of the search.
+    """Bright detections and stars: the input of the pattern search.
 
     Attributes
     ----------
@@ -235,7 +235,7 @@ def _log10_tail(least: int, count: int, share: float) -> float:
 
 
 def _met(detections: cKDTree, places: FloatArray, radius: float) -> int:
-    """Return how many detections are the nearest of a star within the radius: one that two stars claim counts once."""
+    """Return how many detections are nearest to a star within the radius; each counts once."""
     apart, row = detections.query(places)
     return int(np.unique(np.asarray(row)[np.asarray(apart) < radius]).size)
 

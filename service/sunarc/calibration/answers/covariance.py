@@ -32,7 +32,7 @@ _POLAR = 1.55
 
 
 def project_with_covariance(calibration: Calibration, directions: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Project directions and say how sure one is of the pixels.
+    """Return the pixels of directions, and their covariance.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def project_with_covariance(calibration: Calibration, directions: ArrayLike) -> 
 def sun_with_covariance(
     calibration: Calibration, directions: ArrayLike, *, site: Site, measured: bool
 ) -> tuple[FloatArray, FloatArray]:
-    """Pixels of the sun, with the covariance of the camera and of the refraction.
+    """Return the pixels of the sun, with the covariance from the camera and the refraction.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def _predict_chunk(calibration: Calibration, directions: FloatArray) -> tuple[Fl
 
 
 def unproject_with_sigma(calibration: Calibration, pixels: ArrayLike) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Say where pixels look, and how sure one is.
+    """Return the directions of pixels, with their 1-sigma.
 
     Parameters
     ----------

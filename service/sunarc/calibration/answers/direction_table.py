@@ -1,4 +1,4 @@
-"""A calibration made ready for many pixels and directions: exact places, and how sure they are from a table; maps.
+"""Tables of a calibration for many pixels and directions: exact places, interpolated uncertainty; maps.
 
 The 1-sigma and the covariance change slowly over the sky. They are computed at nodes in polar coordinates about the
 optical axis, out to where the field ends, and cubic splines run between them.
@@ -43,7 +43,7 @@ _CHUNK = 32_768
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Lookup:
-    """A calibration, ready for many at once.
+    """Calibration with tables for many pixels or directions at once.
 
     Directions and pixels are those of the camera to 1e-8 px; docs/rest.md says how near the 1-sigma is.
 
@@ -75,7 +75,7 @@ class Lookup:
         return _answer_in_chunks(pixels, self._back_project_chunk)
 
     def project(self, directions: Rows) -> Rows:
-        """Return where unit vectors (n, 3) land: (n, 7), the columns `PROJECTED`; NaN beyond the camera's field."""
+        """Return the pixels of unit vectors (n, 3): (n, 7), the columns `PROJECTED`; NaN beyond the camera's field."""
         return _answer_in_chunks(directions, self._project_chunk)
 
     def direction_covariance(self, directions: FloatArray) -> FloatArray:
@@ -109,7 +109,7 @@ def _mask_beyond_limit(rows: FloatArray, back_projected: FloatArray, limit_deg: 
 
 
 def lookup(calibration: Calibration) -> Lookup:
-    """Return a calibration made ready; takes some tenths of a second."""
+    """Return the tables of a calibration; takes some tenths of a second."""
     camera = calibration.camera
     table = inverse_table(camera)
     angle = np.linspace(0.0, rising_limit(camera, up_to=largest_angle(camera)) - _EDGE, RINGS)

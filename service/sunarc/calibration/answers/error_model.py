@@ -64,7 +64,7 @@ class CameraErrorModel:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Predicted:
-    """Where a camera sees directions, and how that changes.
+    """Predicted pixels of directions, and their derivatives.
 
     Attributes
     ----------
@@ -118,7 +118,7 @@ def _make_empty_basis(basis: WaveBasis) -> WaveBasis:
 
 
 def predicted(error_model: CameraErrorModel, camera: Camera, directions: FloatArray) -> Predicted:
-    """Return where a camera sees directions (n, 3), and the derivatives by the parameters of an error model."""
+    """Return the pixels of directions (n, 3) in a camera, and their derivatives by an error model's parameters."""
     pixels, rows = project_with_rows_fast(camera, directions)
     to_rotation = np.linalg.inv(right_jacobian(-np.array(camera.rotation_cam_enu)))
     selected = np.ascontiguousarray(rows[..., error_model.selected])
@@ -171,7 +171,7 @@ def coefficient_covariance(error_model: CameraErrorModel, prediction: Predicted,
 
 
 def _coupled_field_rows(error_model: CameraErrorModel, prediction: Predicted) -> FloatArray:
-    """Return (2n, q): the part of the field that the parameters' errors leave open, where the sun was seen."""
+    """Return (2n, q): the part of the field that the parameters' errors leave undetermined, where the sun was seen."""
     both = np.stack([prediction.basis_values @ error_model.field.coupling[axis].T for axis in (0, 1)], axis=1)
     return both.reshape(2 * both.shape[0], both.shape[2])
 
@@ -183,7 +183,7 @@ def _field_covariance(error_model: CameraErrorModel, prediction: Predicted) -> F
 
 
 def moved(camera: Camera, error_model: CameraErrorModel, change: FloatArray) -> Camera:
-    """Return a camera changed by (p,): its parameters, and its turn about its own axes."""
+    """Return a camera after a change (p,) of its parameters and a rotation about its own axes."""
     vector = camera.to_vector()
     vector[error_model.selected] += change
     vector[POSE] = rotated(camera, change[error_model.rotation]).rotation_cam_enu
@@ -191,7 +191,7 @@ def moved(camera: Camera, error_model: CameraErrorModel, change: FloatArray) -> 
 
 
 def rotated(camera: Camera, rotation: FloatArray) -> Camera:
-    """Return a camera after a turn (3,) about its own axes, radians."""
+    """Return a camera after a rotation (3,) about its own axes, radians."""
     matrix = rotation_matrix(rotation) @ rotation_matrix(camera.rotation_cam_enu)
     return replace(camera, rotation_cam_enu=rotation_vector(matrix))
 
@@ -211,7 +211,7 @@ _RINGS, _SPOKES = 48, 96
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Ensemble:
-    """Draws of one calibration; the first k are those of an ensemble of k.
+    """Draws of one calibration's errors; the first k are those of an ensemble of k.
 
     Attributes
     ----------
@@ -297,7 +297,7 @@ def draw_ensemble(calibration: Calibration, *, draws: int, seed: int, calibratio
 
 
 def _directions_on_polar_grid(table: InverseTable, radius: FloatArray, azimuth: FloatArray) -> FloatArray:
-    """Return unit vectors (rings · spokes, 3) that the lens without its decentering brings to these places."""
+    """Return unit vectors (rings · spokes, 3) that the lens without decentering images at these radii and azimuths."""
     position = np.minimum(radius * table.constants.per_radius, len(table.pieces) - 1e-9)
     piece = position.astype(np.int64)
     powers = (position - piece)[:, None] ** np.arange(4)

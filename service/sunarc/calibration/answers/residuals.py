@@ -16,7 +16,7 @@ from sunarc.sky.directions import angles_from_direction, angular_distance
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Residuals:
-    """Residuals of sightings; only of those that are finite and that the camera sees.
+    """Residuals of sightings that are finite and in view of the camera.
 
     Attributes
     ----------

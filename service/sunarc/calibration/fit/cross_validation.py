@@ -67,7 +67,7 @@ class _PartLeftOut(NamedTuple):
 
 
 def without_parts(fit: FitState, usable: Sightings) -> list[_PartLeftOut]:
-    """Return the fits without each part of the sightings; a pose that no other part has cannot be predicted.
+    """Return the fits that leave out each part of the sightings; a part with the only sightings of a pose is skipped.
 
     Parts are thirds of a day, or of several days whole ones, in five groups at most.
     """
@@ -105,7 +105,7 @@ def without_parts(fit: FitState, usable: Sightings) -> list[_PartLeftOut]:
 
 
 class HeldOut(NamedTuple):
-    """Root mean square distance on days left out in turn, px: as found, and as the fits without them expect it."""
+    """Root mean square error on days left out in turn, px: as found, and as expected."""
 
     rmse_px: float
     expected_px: float
@@ -139,7 +139,7 @@ def held_out(fit: FitState, usable: Sightings, parts: Sequence[_PartLeftOut]) ->
 
 
 class Doubts(NamedTuple):
-    """Doubts of the fit of all sightings by parts of them.
+    """Result of comparing parts of the sightings with the fits that leave them out.
 
     n, rmse_px, stated_px : sightings of the part that was predicted worst, by what root mean square distance they were
         missed, and by what the fit without them states.
@@ -161,7 +161,7 @@ class Doubts(NamedTuple):
 
 
 class _PartPrediction(NamedTuple):
-    """Prediction of a part: see `Doubts`.
+    """Prediction of a part of the sightings by the others: see `Doubts`.
 
     errors : (k,) independent ones, by what is stated; open: (k,) whether the other parts leave much of a number open.
     """
@@ -176,12 +176,12 @@ class _PartPrediction(NamedTuple):
 
     @property
     def contradicts(self) -> bool:
-        """Return whether it is missed by more than is stated, or surely turned by more than mounts sway."""
+        """Return whether the part deviates by more than is stated, or is turned by more than mounts sway."""
         return self.rmse_px > self.stated_px or (self.turned > _TURNED and self.turn_deg > _SWAYS_DEG)
 
 
 def doubts(fit: FitState, usable: Sightings, without: Sequence[_PartLeftOut]) -> Doubts:
-    """Return how well fits without a part of the sightings predict it, see `without_parts`.
+    """Return how well fits without a part of the sightings predict that part, see `without_parts`.
 
     All that a part shows of lens, pose and field are few numbers; where the stated errors hold, their errors are
     independent and of unit variance.
@@ -217,7 +217,7 @@ def _largest_error_ratio(parts: Sequence[_PartPrediction]) -> float:
 
 
 def _error_ratio_where_undetermined(parts: Sequence[_PartPrediction]) -> float:
-    """Return by how much errors are larger than stated where the other parts leave much open, 1 or more."""
+    """Return the ratio of errors to stated ones where the other parts determine little, 1 or more."""
     square, opened = np.concatenate([part.errors for part in parts]) ** 2, np.concatenate([part.open for part in parts])
     larger = (float(np.sum(square[opened])) + _AS_STATED) / (np.count_nonzero(opened) + _AS_STATED)
     return math.sqrt(max(larger, 1.0))
@@ -247,7 +247,7 @@ def chi_square_limit(n: int, chance: float) -> float:
 
 
 def _predict_part(without: _PartLeftOut, fit: FitState, usable: Sightings, judged: BoolArray) -> _PartPrediction:
-    """Return how a fit predicts the judged (n,) sightings of the part that it is without."""
+    """Return the prediction of the judged (n,) sightings of a part by the fit without it."""
     sun = np.bincount(fit.member[judged], minlength=without.bins.size)[without.bins] > 0
     rows, information = without.rows[sun], fit.system.observed.information[without.bins][sun]
     off = fit.system.residual[without.bins][sun] - rows @ without.step
@@ -279,7 +279,7 @@ def _predict_part(without: _PartLeftOut, fit: FitState, usable: Sightings, judge
 def _measure_turn(
     factor: FloatArray, joint: FloatArray, said: FloatArray, fit: FitState, pose: int
 ) -> tuple[float, float]:
-    """Return the certainty of a turn of a pose by errors (k,) of covariance (k, k), and the turn in degrees."""
+    """Return the certainty of a rotation of a pose by errors (k,) of covariance (k, k), and the rotation, degrees."""
     columns = factor[fit.problem.pose_slice(pose)]
     weighed = np.linalg.solve(joint, np.column_stack([columns.T, said]))
     pull = columns @ weighed[:, -1]
@@ -305,7 +305,7 @@ _SUN_SCATTER = 1.15
 
 
 def contradiction(fit: FitState, usable: Sightings) -> Finding | None:
-    """Return the contradiction of the night to the day, with value and limit; None without one."""
+    """Return the finding of night sightings that contradict the day's; None without a contradiction."""
     night = usable.night
     if "night_pose" not in fit.problem.names:
         return None
@@ -337,7 +337,7 @@ def select_one_kind(usable: Sightings, finding: Finding, *, night: bool) -> Sigh
 
 
 def day_contradicts_night(found: Finding, day: Calibration, night: Calibration, suns: Sightings) -> Finding | None:
-    """Return that the day's sightings are at fault where they and the night's contradict each other; else None.
+    """Return the finding that the day's sightings are at fault where they contradict the night's; else None.
 
     Asked where the two differ by no turn or offset that nights have. The day's are at fault where the night's camera is
     within what they, and a fit of them, state, and the day's camera is not within what a fit of the night's states.

@@ -1,4 +1,4 @@
-"""Evidence of a tilted camera against its being level at another place: refraction and horizon tell them apart."""
+"""Evidence for a tilted camera against a level one at another place, from refraction and horizon."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def tilt_log_odds(fit: FitState, camera: Camera, site: Site) -> float | None:
 
 
 def _places_around(level: Place) -> list[Place]:
-    """Return a place and those around it."""
+    """Return a place and the places around it."""
     latitude, longitude = math.radians(level.latitude), math.radians(level.longitude)
     up = np.array(
         [math.cos(latitude) * math.cos(longitude), math.cos(latitude) * math.sin(longitude), math.sin(latitude)]

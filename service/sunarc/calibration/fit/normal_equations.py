@@ -83,7 +83,7 @@ class LinearSystem:
         return replace(self, basis_values=self.basis_values @ transform, basis_products=products), transform
 
     def moved(self, problem: FitProblem, at: FloatArray) -> LinearSystem:
-        """Return the system about other unknowns."""
+        """Return the system linearised about other unknowns."""
         residual, rows = problem.linearised(at, self.observed)
         return replace(self, residual=residual, rows=rows, at=at, n_unit=problem.n_unit)
 
@@ -198,7 +198,7 @@ class _Equations:
 
     @classmethod
     def of(cls, problem: FitProblem, system: LinearSystem, scales: PriorScales) -> _Equations:
-        """Return those of a system in the field's axes under some scales."""
+        """Return the equations of a system in the field's axes under given scales."""
         axes, root = system.basis_products.axes(system.basis, scales.length_px), np.sqrt(system.observed.information)
         spread = np.sqrt(axes.posterior_variances(np.array([scales.amplitude_px]))[0])
         return cls(
@@ -233,7 +233,7 @@ class _Equations:
 
 
 class _Sums(NamedTuple):
-    """The equations about some unknowns, the field integrated out.
+    """Sums of the equations about given unknowns, the field integrated out.
 
     matrix (p, p), vector (p,): information on the unknowns, prior and rounding in it, and pull. rows (2, r, p), left
     (2, r): products of the weighed field with derivatives and residuals. penalty: twice the negative log posterior.

@@ -1,4 +1,4 @@
-"""Fit with the prior of its type of lens, and its distance from that.
+"""Fit with the prior of its type of lens, and its departure from that prior.
 
 The fit of the sightings alone is made first: it decides which sightings count, how noisy they are, and what no lens
 model describes. The type then takes the place of the fit's own prior of the lens; pose and field follow by their

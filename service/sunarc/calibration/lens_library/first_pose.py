@@ -57,7 +57,7 @@ from sunarc.sky.site import Site
 
 
 def level(camera: Camera, azimuth_rad: float) -> Camera:
-    """Return a camera whose axis is vertical, the top of its image towards an azimuth (clockwise from north)."""
+    """Return a level camera, with the top of its image towards an azimuth (clockwise from north)."""
     sine, cosine = math.sin(azimuth_rad), math.cos(azimuth_rad)
     # rows: image right, down and out of the lens in east, north, up; looking up, east is left of north
     matrix = np.array([[-cosine, sine, 0.0], [-sine, -cosine, 0.0], [0.0, 0.0, 1.0]])
@@ -160,7 +160,7 @@ def first_pose(
 
 
 def _select_agreeing(camera: Camera, thin: Sightings) -> BoolArray:
-    """Return which sightings agree on a rotation of a camera, whichever it is."""
+    """Return which sightings agree on one rotation of a camera, whatever it is."""
     tolerance = np.sqrt(thin.variance + _LENS_PX**2)
     rotation = ransac_rotation(camera, thin.directions, thin.pixels, tolerance)
     off = thin.pixels - project_fast(rotated(camera, rotation), thin.directions)

@@ -123,13 +123,13 @@ def _require_alike(kinds: Sequence[tuple[str, Mapping[str, object]]]) -> None:
 
 
 def _largest_radial_px(units: Sequence[Unit]) -> float:
-    """Return the largest scale of residual radial distortion that was found: where nothing was seen it is the prior."""
+    """Return the largest scale of residual radial distortion among units; that of the prior where none was measured."""
     found = [one.calibration.evidence.radial_px for one in units]
     return max([one for one in found if math.isfinite(one)], default=LensTolerances().radial_px)
 
 
 def further_unit(known: Sequence[lens_type.Information], scales: FloatArray, *, radial_px: float) -> lens_type.Gaussian:
-    """Return the lens of a unit that was not measured, where others were.
+    """Return the lens of a further, unmeasured unit of a type.
 
     Parameters
     ----------
@@ -196,7 +196,7 @@ def log_evidences(known: Sequence[lens_type.Information], spreads: FloatArray, u
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Entry:
-    """Sightings of one pose of one camera.
+    """Sightings of one pose of one camera, for a joint fit.
 
     Attributes
     ----------

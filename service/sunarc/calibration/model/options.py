@@ -133,7 +133,7 @@ USUAL_OPTIONS = CalibrationOptions()
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImageCircle:
-    """The circle that the lens draws on the sensor.
+    """Circle that a fisheye lens draws on the sensor.
 
     Attributes
     ----------

@@ -27,7 +27,7 @@ UNKNOWN = np.full((3, 3), math.nan)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PoseChange:
-    """Change that explains observations better than none does.
+    """Change of pose, clock, lens or image that explains observations better than no change.
 
     Times are seconds since 1970-01-01 UTC, or numbers of days where days are compared.
     """

@@ -56,7 +56,7 @@ class Field:
         object.__setattr__(self, "coupling", self.coupling.reshape(2, -1, waves) if waves else np.zeros((2, 0, 0)))
 
     def widened(self, factor: float) -> Field:
-        """Return the field with all its errors, and those that it shares with the parameters, larger by a factor."""
+        """Return the field with all its errors, and those shared with the parameters, multiplied by a factor."""
         return replace(
             self,
             amplitude_px=factor * self.amplitude_px,

@@ -42,12 +42,12 @@ TURN_ASKED = -2.0
 
 
 def suspects(error: str, log_odds: float) -> bool:
-    """Return whether such an error must be allowed for, see `proves`."""
+    """Return whether log odds are large enough to allow for an error, see `proves`."""
     return log_odds > _SUSPICION_OF.get(error, _SUSPICION)
 
 
 def probability(log_odds: float) -> float:
-    """Return how probable an error that is there in one camera of a hundred is by the sightings' log odds."""
+    """Return the probability of an error from the log odds, where one camera of a hundred has it."""
     return 1.0 / (1.0 + math.exp(min(_SUSPICION - log_odds, _CERTAINLY_NOT)))
 
 
@@ -273,11 +273,11 @@ class ErrorMixture:
         return float(held[0]) / math.sqrt(-2.0 * math.log1p(-_NOMINAL))
 
     def about(self, factor: float) -> ErrorMixture:
-        """Return the same errors where a 1-sigma is stated that is larger by a factor."""
+        """Return the same errors relative to a 1-sigma that is larger by a factor."""
         return replace(self, scales=self.scales / factor)
 
     def beside(self, ratio: FloatArray) -> ErrorMixture:
-        """Return the mixture with a Gaussian error of its own: it has had a ratio (n,) of the variance of both."""
+        """Return the mixture after an added Gaussian error, from the mixture's share (n,) of the total variance."""
         return replace(self, scales=np.sqrt(1.0 + ratio[:, None] * (self.scales**2 - 1.0)))
 
 
@@ -354,7 +354,7 @@ def residuals_by_pose(camera: Camera, poses: Sequence[tuple[float, float, float]
 
 
 def add_finding(calibration: Calibration, finding: Finding) -> Calibration:
-    """Return a calibration whose verdict names one thing more."""
+    """Return a calibration with one more finding in its verdict."""
     verdict = calibration.verdict
     return replace(calibration, verdict=replace(verdict, findings=(*verdict.findings, finding)))
 

@@ -128,7 +128,7 @@ MAX_CLOCK_ERROR_S = 2.0
 
 
 class Filtering(NamedTuple):
-    """Sightings left out by `filter_sightings`, and the statements about those that it retained.
+    """Counts of sightings left out by `filter_sightings`, and findings about those kept.
 
     dropped: how many were left out, a finding for each cause. static: positions left out that do not move with the sun.
     stated_sigma_px: root mean square of the stated 1-sigma, px per axis; NaN where none is stated. n_below_horizon:
@@ -142,7 +142,7 @@ class Filtering(NamedTuple):
     below: tuple[FloatArray, FloatArray] = (np.zeros((0, 2)), np.zeros((0, 3)))
 
     def after(self, before: Filtering) -> Filtering:
-        """Return this with an earlier filtering of the same sightings."""
+        """Return this filtering combined with an earlier one of the same sightings."""
         dropped = {one.code: int(one.data["n"]) for one in before.dropped}
         for one in self.dropped:
             dropped[one.code] = dropped.get(one.code, 0) + int(one.data["n"])

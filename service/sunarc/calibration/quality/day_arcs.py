@@ -135,7 +135,7 @@ class _HalfDay(NamedTuple):
 
 
 class Unexplained(NamedTuple):
-    """Data of two findings: the sightings of clear days that were left out, and the half-days that lie far off."""
+    """Sightings of clear days that a fit left out, and half-days far from it: data of two findings."""
 
     left_out: Data
     far: Data | None

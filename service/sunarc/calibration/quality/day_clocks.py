@@ -1,4 +1,4 @@
-"""Clocks that differ from day to day by more than a fit allows for: the sun is early on some days, late on others."""
+"""Clocks that differ from day to day by more than a fit allows for."""
 
 from __future__ import annotations
 

@@ -92,7 +92,7 @@ class _Motion(NamedTuple):
 
 
 class _ExpectedMotion(NamedTuple):
-    """The sun over the stated site: zenith angle, the direction of its way by projection, and its speed.
+    """Motion of the sun over the stated site: zenith angle, direction in the projection, and speed.
 
     The direction is from outwards (away from the zenith) towards a growing azimuth; the last one is that in the sky. A
     lens that compresses the rim makes the sun slow there, and so its zenith angle large: `farthest_deg` at most.

@@ -75,7 +75,7 @@ _NO_SIGHTINGS = Sightings.of(unix_s=(), pixels=())
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Given:
-    """Usable sightings with the options whose limits apply to them."""
+    """Usable sightings, and the options whose limits apply to them."""
 
     usable: Sightings = _NO_SIGHTINGS
     options: CalibrationOptions = USUAL_OPTIONS
@@ -83,7 +83,7 @@ class Given:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JudgedFit(Given):
-    """Fit of usable sightings."""
+    """Fit that is to be judged, with its usable sightings."""
 
     calibration: Calibration
     tilt_known: bool = False
@@ -120,7 +120,7 @@ class JudgedFit(Given):
 
 
 def not_moving(given: Given) -> Data | None:
-    """Return how many sightings stand still, and where; None where none does."""
+    """Return the count and the positions of sightings that do not move; None where all move."""
     n_static = sum(position.n for position in given.usable.filtering.static)
     if not n_static:
         return None
@@ -128,18 +128,18 @@ def not_moving(given: Given) -> Data | None:
 
 
 def count(given: Given) -> Data:
-    """Return how many sightings are usable."""
+    """Return the number of usable sightings."""
     return {"n": len(given.usable)}
 
 
 def arc(given: Given) -> Data:
-    """Return the length of the days' arcs together."""
+    """Return the total length of the days' arcs."""
     usable = given.usable
     return {"arc_deg": sum(arc_length_deg(usable.directions[usable.day == day]) for day in np.unique(usable.day))}
 
 
 def extent(given: Given) -> Data:
-    """Return over how many pixels the sightings extend."""
+    """Return the extent of the sightings over the image, px."""
     return {"spread_px": float(np.linalg.norm(np.ptp(given.usable.pixels, axis=0)))}
 
 
@@ -151,7 +151,7 @@ def below_horizon(given: Given) -> Data | None:
 
 
 def positions(usable: Sightings) -> str:
-    """Return where sightings stand still: counts and pixels."""
+    """Return the positions of static sightings as text: counts and pixels."""
     named = [f"{one.n} at x {one.x:.0f}, y {one.y:.0f}" for one in usable.filtering.static[:_POSITIONS_NAMED]]
     further = len(usable.filtering.static) - len(named)
     return "; ".join([*named, *([f"and {further} more positions"] if further else [])])
@@ -171,7 +171,7 @@ def seen_below_horizon(judged: JudgedFit) -> Data | None:
 
 
 def scatter(judged: JudgedFit) -> Data:
-    """Return the RMSE of the sightings that count."""
+    """Return the RMSE of the used sightings."""
     return {"rmse_px": judged.calibration.metrics.rmse_px}
 
 
@@ -182,12 +182,12 @@ def largest_rmse_px(judged: JudgedFit) -> float:
 
 
 def rejected(judged: JudgedFit) -> Data:
-    """Return the share of the sightings that do not count."""
+    """Return the share of sightings that the fit rejected."""
     return {"share": 1.0 - judged.calibration.evidence.n_used / max(len(judged.usable), 1)}
 
 
 def held_out(judged: JudgedFit) -> Data | None:
-    """Return the errors of fits without a part of the sightings there; None where none was left out."""
+    """Return the errors on parts of the sightings left out of the fit; None where no part was left out."""
     return judged.calibration.evidence.held_out or None
 
 
@@ -243,7 +243,7 @@ def _is_unsure(judged: JudgedFit) -> bool:
 
 
 def determined(judged: JudgedFit) -> Data | None:
-    """Return how far the sightings determine a camera that is too uncertain."""
+    """Return how well the sightings determine a camera that is too uncertain."""
     if not _is_unsure(judged):
         return None
     usable = judged.usable
@@ -311,18 +311,18 @@ def tilt(judged: JudgedFit) -> Data | None:
 
 
 def outside(judged: JudgedFit) -> Data | None:
-    """Return the principal point, where it is outside the image."""
+    """Return the principal point where it is outside the image."""
     camera, (x, y) = judged.calibration.camera, judged.calibration.camera.principal_point_px
     return None if 0.0 <= x <= camera.width and 0.0 <= y <= camera.height else {"x_px": x, "y_px": y}
 
 
 def rising_to(judged: JudgedFit) -> Data:
-    """Return the angle from the axis up to which the radius rises."""
+    """Return the angle off the axis up to which the image radius rises."""
     return {"angle_deg": math.degrees(judged.calibration.camera.max_angle)}
 
 
 def one_radius(judged: JudgedFit) -> Data | None:
-    """Return the angles from the axis, where the sightings show one radius alone: of a camera at a pole, say."""
+    """Return the range of angles off the axis where it is too narrow to determine the lens."""
     usable = judged.usable
     if len(usable) == 0 or judged.free != "all":
         return None
@@ -360,7 +360,7 @@ def tilt_in_doubt(judged: JudgedFit) -> Data | None:
 
 
 def tilt_to_refuse(judged: JudgedFit) -> Data | None:
-    """Return the tilt in doubt, where nothing else refuses the fit but a lack of information."""
+    """Return the tilt in doubt where the fit is refused for no other reason but a lack of information."""
     doubt, codes = tilt_in_doubt(judged), {one.code for one in judged.against}
     if doubt is None or not codes <= UNDETERMINED:
         return None
@@ -370,7 +370,7 @@ def tilt_to_refuse(judged: JudgedFit) -> Data | None:
 
 
 def question_asked(judged: JudgedFit) -> Finding | None:
-    """Return the mistake that may be behind a tilt that refuses the fit, or behind another refusal."""
+    """Return the likely mistake behind a tilt or another refusal, as a finding."""
     of_a_tilt = {one.code for one in judged.against} & _OF_A_TILT
     if is_tilt_shown(judged.calibration):
         of_a_tilt -= {"tilt_too_large"}
@@ -378,7 +378,7 @@ def question_asked(judged: JudgedFit) -> Finding | None:
 
 
 def question_left(judged: JudgedFit) -> Finding | None:
-    """Return the mistake that may be behind the tilt of an accepted fit; None of a tilt that is shown."""
+    """Return the likely mistake behind the tilt of an accepted fit; None for a tilt that is shown."""
     return None if is_tilt_shown(judged.calibration) else judged.question
 
 
@@ -415,7 +415,7 @@ def static_positions(judged: JudgedFit) -> Data | None:
 
 
 def off_center(judged: JudgedFit) -> Data | None:
-    """Return how far the lens surely lies off the middle of the image; None where it does not."""
+    """Return the offset of the principal point from the image centre where it is certain; else None."""
     camera, names = judged.calibration.camera, judged.calibration.parameter_names
     offset = np.subtract(camera.principal_point_px, [(camera.width - 1) / 2.0, (camera.height - 1) / 2.0])
     places = [names.index(name) for name in ("principal_point_x_px", "principal_point_y_px") if name in names]
@@ -425,13 +425,13 @@ def off_center(judged: JudgedFit) -> Data | None:
 
 
 def aspect(judged: JudgedFit) -> Data:
-    """Return how much wider than high pixels are, with the log odds."""
+    """Return the ratio of pixel width to height, with the log odds."""
     fx, fy = judged.calibration.camera.focal_length_px
     return {"log_odds": judged.log_odds("pixels"), "aspect": fx / fy}
 
 
 def measure_clock_drift(judged: JudgedFit) -> Data:
-    """Return the log odds of a clock that is another one on each day."""
+    """Return the log odds of a clock error that differs from day to day."""
     return {"log_odds": judged.log_odds("daily_clock")}
 
 
@@ -450,7 +450,7 @@ def measure_focal_change(judged: JudgedFit) -> Data | None:
 
 
 def picture(judged: JudgedFit) -> Data | None:
-    """Return how the picture of earlier days is scaled and shifted against that of the last, where that is proven."""
+    """Return scale and shift of earlier days' pictures against the last day's, where they are proven."""
     log_odds = judged.calibration.evidence.log_odds
     if "picture_scale" not in log_odds:
         return None
@@ -460,7 +460,7 @@ def picture(judged: JudgedFit) -> Data | None:
 
 
 def picture_behind(judged: JudgedFit) -> Data | None:
-    """Return a change of the picture where something refuses the fit."""
+    """Return the change of the picture where the fit is refused."""
     return picture(judged) if judged.against else None
 
 
@@ -479,12 +479,12 @@ def possible_turn(judged: JudgedFit) -> Data | None:
 
 
 def grid(judged: JudgedFit) -> Data:
-    """Return the step of the grid that the sun's pixels are on; 0 where they are on none."""
+    """Return the step of the grid on which the sun's pixels lie; 0 where there is no grid."""
     return {"step_px": float(np.max(grid_steps_px(judged.usable.pixels[judged.usable.kind == Kind.SUN])))}
 
 
 def sway(judged: JudgedFit) -> Data | None:
-    """Return how far the mount stands turned on a day, with the log odds."""
+    """Return the daily rotations of the mount (1-sigma), with the log odds."""
     spread = judged.calibration.evidence.pose_spread_deg
     if spread is None:
         return None

@@ -14,7 +14,7 @@ from sunarc.common.robust_statistics import tukey_weights
 
 
 class Solution(NamedTuple):
-    """Where a fit converged: the unknowns (p,), and half the weighted squares (or the loss) and half the prior's."""
+    """Minimum of a fit: the unknowns (p,), half the weighted squares (or the loss), and half the prior's."""
 
     unknowns: FloatArray
     cost: float
@@ -65,7 +65,7 @@ def most_probable(
 
 
 def information(residual: FloatArray, observed: Sightings, sigma: float | None) -> FloatArray:
-    """Return (n,): how much each sighting counts where it lies now, px⁻²."""
+    """Return (n,): the weight of each sighting at its present residual, px⁻²."""
     if sigma is None:
         return observed.information
     distance = np.hypot(residual[:, 0], residual[:, 1]) * np.sqrt(observed.information)

@@ -35,7 +35,7 @@ class Block(NamedTuple):
 
 
 class Sighted(NamedTuple):
-    """Sightings as the kernels take them, contiguous.
+    """Sightings as contiguous arrays for the kernels.
 
     directions (n, 3), pixels (n, 2), epoch (n,). systematic_px (n, 2, s): displacements by errors that many share, each
     at its 1-sigma.
@@ -73,7 +73,7 @@ def camera_vectors(mean: FloatArray, basis: FloatArray, unknowns: FloatArray, ep
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FitProblem:
-    """A camera whose parameters are sought.
+    """Least-squares problem of a camera's parameters.
 
     Attributes
     ----------
@@ -227,7 +227,7 @@ _SECONDS = 360.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Bins:
-    """Which sightings go together.
+    """Assignment of sightings to bins of time.
 
     Attributes
     ----------

@@ -104,7 +104,7 @@ def _solve_rotations(rays: FloatArray, world: FloatArray, *, rounds: int = 4) ->
 
 
 def as_far_as_it_rises(camera: Camera) -> Camera:
-    """Return the camera level, answering at every angle up to which its radius rises."""
+    """Return a level camera whose field ends where its image radius stops rising."""
     return replace(camera, rotation_cam_enu=(0.0, 0.0, 0.0), max_angle=rising_limit(camera, up_to=math.pi))
 
 
@@ -138,7 +138,7 @@ def candidates(observed: Sightings, guess: Camera, *, known: bool, best: int) ->
 
 
 def _rays_of_ideal_lenses(camera: Camera, factors: FloatArray, observed: Sightings) -> FloatArray:
-    """Return (3, c, n): the same of ideal lenses, whose focal lengths are the camera's by factors (c,)."""
+    """Return (3, c, n): directions of sightings in ideal lenses with focal lengths scaled by factors (c,)."""
     x, y = calibrated(camera, observed.pixels)
     around, angle = np.arctan2(y, x), ideal_angle(camera.projection, np.hypot(x, y) / factors[:, None])
     sine = np.sin(angle)

@@ -100,7 +100,7 @@ def least_squares(
 
 
 def loosened(problem: FitProblem) -> FloatArray:
-    """Return precisions (p,) that hardly hold anything but skew and aspect, which the paper's penalties hold, too."""
+    """Return precisions (p,) of a prior that constrains skew and aspect, and hardly anything else."""
     precision = np.full(problem.size, 1e-9)
     precision[:N_LENS] = _LOOSENED
     precision[[Whitened.ASPECT, Whitened.SKEW]] = 1.0
@@ -117,7 +117,7 @@ def undistorted(unknowns: FloatArray) -> FloatArray:
 def settled(
     problem: FitProblem, observed: Sightings, start: FloatArray, *, precision: FloatArray, tolerance: float = 1e-6
 ) -> FloatArray:
-    """Return the robust fit from one start at the scale that it leaves over."""
+    """Return the robust fit from one start, at the scale of its own residuals."""
     residual, epoch = problem.residuals(start, observed), observed.epoch
     distance = np.sqrt(residual[:, 0] ** 2 + residual[:, 1] ** 2) * np.sqrt(observed.information)
     share = surely_well_behaved(len(observed), problem.size)
@@ -135,7 +135,7 @@ def settled(
 def lowest(
     problem: FitProblem, observed: Sightings, candidates: Sequence[FloatArray], *, precision: FloatArray
 ) -> FloatArray:
-    """Return the candidate of the lowest robust cost, prior included, at one scale for all."""
+    """Return the candidate with the lowest robust cost, prior included, at a common scale."""
     distances = [distance_sigmas(problem, observed, at) for at in candidates]
     share = surely_well_behaved(len(observed), problem.size, _CENTRAL_SHARE)
     sigma = min(robust_sigma(d, share=share, floor=SMALLEST_SIGMA_PX) for d in distances)
@@ -216,7 +216,7 @@ def _distances_after_steps(residual: FloatArray, rows: FloatArray, steps: FloatA
 
 
 def _cauchy_losses(distances: FloatArray) -> FloatArray:
-    """Return (k,): Cauchy's loss of distances (k, n), in which it hardly counts how far off one is."""
+    """Return (k,): Cauchy's loss of distances (k, n), in which gross errors hardly count."""
     return np.asarray(np.sum(np.log1p(distances**2), axis=1))
 
 

@@ -241,7 +241,7 @@ def detect_sun(
 def _expected_clear_level(
     expectation: Expectation | None, options: DiscOptions, exposure_us: float | None
 ) -> float | None:
-    """Return the clear sun's level over full scale, where known."""
+    """Return the clear sun's level over full scale; None where it is not known."""
     if expectation is not None and expectation.clear_peak_fraction is not None:
         return expectation.clear_peak_fraction
     return options.clear_level_per_us * exposure_us if exposure_us and options.clear_level_per_us else None
@@ -322,7 +322,7 @@ def _search_frame(image: Image, *, sensor: Sensor) -> Detection:
 
 
 def _minimum_core_counts(sensor: Sensor) -> float:
-    """Return the counts that a disc's core exceeds, noise allowed for; a Bayer mosaic's weakest colour has fewest."""
+    """Return the counts that a disc's core exceeds, noise allowed for; a mosaic's weakest colour has fewest."""
     share = 0.3 if sensor.bayer else 0.5
     noise = 2.0 * sensor.read_noise_e / sensor.gain_e_per_count
     return sensor.black_level + max(share * MIN_PEAK_FRACTION * sensor.full_scale - noise, 0.0)
@@ -422,7 +422,7 @@ _DETECTABLE = 3.0  # predicted level over the detection limit from which a missi
 
 
 def obstruction(image: Image, *, sensor: Sensor, expectation: Expectation, reach_px: float) -> Finding | None:
-    """Return that a sun that was not found is behind a mast or a building; None where that is not certain.
+    """Return the finding of a sun behind a mast or a building where none was found; None where that is not certain.
 
     A cloud in front of the sun is brighter than most of the sky; a building is dark. So the surroundings of the
     predicted pixel must be darker than half of the sky (the brighter quarter of the image's 64 px tiles), the

@@ -206,7 +206,7 @@ def make_problem(
 
 
 def without(problem: DiscProblem, bad: BoolArray) -> DiscProblem:
-    """Return the problem without some of its pixels."""
+    """Return the problem without the pixels of a mask."""
     place, counts, colour, offset = problem.pixels
     return problem._replace(pixels=UsedPixels(place[~bad], counts[~bad], colour[~bad], offset[~bad]))
 

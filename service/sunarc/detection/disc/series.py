@@ -20,7 +20,7 @@ _SIGNIFICANCE = 1e-4  # probability of a larger chi² by chance below which fram
 
 
 def combine(detections: Sequence[Detection], *, shifts: Sequence[tuple[float, float]] | None = None) -> Detection:
-    """Return the mean of a bracket's accepted detections, weighted by their inverse variances.
+    """Return the mean of a bracket's accepted detections, weighted by inverse variance.
 
     Parameters
     ----------

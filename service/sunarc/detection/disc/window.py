@@ -99,7 +99,7 @@ _SIGNIFICANT = 5.0
 
 
 def column_smear(image: Image, *, x0: int, x1: int, y0: int, y1: int, mosaic: bool) -> FloatArray:
-    """Return the smear in a window, judged from the rows beyond it.
+    """Return the column smear in a window, estimated from the rows beyond it.
 
     Parameters
     ----------

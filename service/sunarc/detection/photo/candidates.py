@@ -230,7 +230,7 @@ def candidates_near(part: ImagePart, *, full_scale: int) -> list[Candidate] | No
 
 
 def window_step(image: Image, bayer: Bayer | None) -> int:
-    """Return px of the plane by which a window may begin, so that its reduced images are parts of the whole one's."""
+    """Return the step, px, at which windows begin, so that their reduced images match the whole image's."""
     size = min(image.shape[:2]) // (1 if bayer is None or image.ndim == 3 else 2)
     return math.lcm(plateau_step(size), _glare_step(size))
 
@@ -346,7 +346,7 @@ def _measure_surroundings(
 
 
 def _convert_to_image_px(seen: Candidate, part: ImagePart) -> Candidate:
-    """Return a candidate of a part's plane in px of the image."""
+    """Return a candidate of a part in px of the whole image."""
     rim, cell = seen.rim, part.cell
     shift = (cell - 1) / 2.0
     larger = rim._replace(

@@ -57,7 +57,7 @@ _OTHER_PLATEAUS, _OTHER_AREA = 2.0, 0.001
 
 
 class Judged(NamedTuple):
-    """A candidate with its verdict and the deciding finding."""
+    """Candidate with its verdict and the deciding finding."""
 
     seen: candidates.Candidate
     verdict: Verdict
@@ -99,7 +99,7 @@ def _make_clear_verdict(rim: Rim) -> tuple[Verdict, Finding]:
 
 
 def edge(seen: candidates.Candidate, *, has_aureole: bool) -> tuple[Verdict, Finding] | None:
-    """Return why a round region with an edge may be a white roof, a lamp at night, or a gap in the cloud."""
+    """Return the reason why a round region with a sharp edge may be a white roof, a lamp or a gap in cloud."""
     rim = seen.rim
     is_glare = 1.0 - rim.near <= _STEEPEST * (1.0 - rim.far)
     if rim.near < candidates.MIN_NEAR or rim.far < _MIN_FAR:
@@ -122,7 +122,7 @@ def _may_have_aureole(seen: candidates.Candidate) -> bool:
 
 
 def _find_fault(seen: candidates.Candidate) -> tuple[Verdict, Finding] | None:
-    """Return why a round region is of no use, wherever it is."""
+    """Return the reason why a round region cannot be used at any place."""
     rim = seen.rim
     if rim.near > _MAX_NEAR or rim.far > _MAX_FAR:
         return "hidden", Finding("blob_flat", {"near": rim.near, "far": rim.far})
@@ -136,7 +136,7 @@ def _find_fault(seen: candidates.Candidate) -> tuple[Verdict, Finding] | None:
 
 
 def _find_cloud_signs(seen: candidates.Candidate, min_flat: float, off_px: float) -> tuple[Verdict, Finding] | None:
-    """Return why a round region may be a patch of bright cloud."""
+    """Return the reason why a round region may be a patch of bright cloud."""
     if seen.rim.flat < min_flat:
         return "veiled", Finding("blob_not_clipped", {"flat": seen.rim.flat})
     if off_px > max(candidates.OFF_GLARE * seen.size_px, _OFF_GLARE_RADIUS * seen.rim.radius):
@@ -145,7 +145,7 @@ def _find_cloud_signs(seen: candidates.Candidate, min_flat: float, off_px: float
 
 
 def _doubt_cloud_region(seen: candidates.Candidate) -> tuple[Verdict, Finding] | None:
-    """Return why a round region may be one of a cloud's: too wide, not alone, or not in the middle of an aureole."""
+    """Return the reason why a round region may belong to a cloud: too wide, not alone, or off the aureole's middle."""
     radius = seen.rim.radius / seen.size_px
     if radius > _MAX_RADIUS:
         return "veiled", Finding("blob_wide", {"radius": radius})
@@ -220,7 +220,7 @@ def detect_sun_in_photo(
 
 
 def framed(photo: Photo) -> tuple[Photo, tuple[int, int]]:
-    """Return the part of an image about its image circle, where that is small, and the part's first column and row."""
+    """Return the crop of an image around a small image circle, and the crop's first column and row."""
     box = circle_box(photo.image)
     return (photo, (0, 0)) if box is None else (cut_out(photo, box), (box[1].start, box[0].start))
 
@@ -239,14 +239,14 @@ _Place = TypeVar("_Place", Detection, Expectation)
 
 
 def moved(place: _Place, columns: int, rows: int) -> _Place:
-    """Return a place moved by columns and rows."""
+    """Return a place shifted by columns and rows."""
     if place.x_px is None or place.y_px is None or not (columns or rows):
         return place
     return replace(place, x_px=place.x_px + columns, y_px=place.y_px + rows)
 
 
 def _detect_near_prediction(photo: Photo, expectation: Expectation, *, elsewhere: bool) -> Detection | None:
-    """Return the candidate at a predicted place; None without one, and the rest of the image has to be searched.
+    """Return the candidate at a predicted place; None where the rest of the image has to be searched.
 
     Light is searched in a window about the place; in the whole image where a plateau is too wide for the window.
     """

@@ -124,7 +124,7 @@ def cell_minimum(image: Image) -> Image:
 
 
 def plateau_step(size: int) -> int:
-    """Return px of an image, by its smaller side, in one of those in which plateaus are looked for."""
+    """Return the reduction factor, by the image's smaller side, at which plateaus are searched."""
     return max(1, round(size / _SEARCHED_PX))
 
 
@@ -319,7 +319,7 @@ _LEAST_IMAGES = 3
 
 
 def static_mask(images: Iterable[Image], *, full_scale: int) -> BoolArray | None:
-    """Return where a bright level stands still in a series, (rows, columns); None where the series cannot tell.
+    """Return where a bright level does not move in a series (rows, columns); None where the series cannot show it.
 
     Parameters
     ----------

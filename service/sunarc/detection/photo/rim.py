@@ -226,7 +226,7 @@ def _sample_ring(rays: _Rays, radius: float) -> FloatArray:
 
 
 def _known_ring_light(rays: _Rays, radius: float) -> FloatArray:
-    """Return the light at a radius on the rays on which it is known."""
+    """Return the light at a radius on the rays where it is known."""
     column = _sample_ring(rays, radius)
     return np.asarray(column[np.isfinite(column)])
 
@@ -260,7 +260,7 @@ def _measure_lopsidedness(rays: _Rays, radius: float) -> float:
 
 
 def _displacement_by_gradient(rays: _Rays, crossing: list[FloatArray], radius: float) -> tuple[float, float]:
-    """Return by how much light that rises across the glare moves a level's circle, (x, y) px: to the lighter side.
+    """Return the displacement (x, y), px, of a level's circle by a light gradient across the glare.
 
     A gradient g moves the circle of radius R by g R / s, s being the fall of the glare there: from the first to the
     last level. About that circle the light at k R has then an amplitude g R (k - q) once around, q being its fall at

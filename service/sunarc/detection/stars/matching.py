@@ -1,4 +1,4 @@
-"""Which detection is which star, where a calibration predicts the stars' pixels; and whether to believe it at all."""
+"""Matching of detections with predicted stars, and its acceptance."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _CHANCE_SCATTER = 0.35
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StarMatches:
-    """Which detection is which star.
+    """Assignment of detections to catalogue stars.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class StarMatches:
 
 
 class _StarPairs(NamedTuple):
-    """Rows of predicted and of detected stars, and the difference of their pixels, (m, 2)."""
+    """Pairs of predicted and detected stars as rows, and their pixel differences, (m, 2)."""
 
     star: IntArray
     detection: IntArray
@@ -159,7 +159,7 @@ _HALVINGS = 12
 
 
 def noise_floor(places: FloatArray, difference: FloatArray, sigma_px: FloatArray) -> float:
-    """Return the 1-sigma, px, that is to be added to those of star centres so that 95 % of them are within 1.96.
+    """Return the 1-sigma, px, to be added to star centres' so that 95 % lie within 1.96 sigma.
 
     Each star is held against its nearest neighbour, which what is smooth of a lens moves alike. 0 where what is stated
     suffices, or of fewer than 30 stars.
@@ -314,7 +314,7 @@ def _check_spread(predicted: PredictedStars, pairs: _StarPairs) -> list[Finding]
 def _check_coherence(
     stars: Stars, predicted: PredictedStars, pairs: _StarPairs, scatter: float, radius: FloatArray
 ) -> list[Finding]:
-    """Return the signs that the pairs are made by chance: brightness without relation, differences without order."""
+    """Return the findings of matches made by chance: unrelated brightness, or differences without order."""
     correlation = float(
         np.corrcoef(_instrumental_magnitude(stars)[pairs.detection], predicted.magnitude[pairs.star])[0, 1]
     )

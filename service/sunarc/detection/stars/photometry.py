@@ -201,7 +201,7 @@ _PARTS = 3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NightLimits:
-    """Limits of the numbers of a night, beyond which it is suspected.
+    """Limits of a night's numbers, beyond which dew or a lost focus is suspected.
 
     Attributes
     ----------
@@ -225,7 +225,7 @@ class NightLimits:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NightTrend:
-    """End of a night against its beginning; NaN where less than 6 of its images have the number.
+    """Change from the beginning to the end of a night; NaN where fewer than 6 images have the number.
 
     Attributes
     ----------

@@ -60,7 +60,7 @@ _FEWEST, _SHORTEST = 6, timedelta(minutes=90)
 
 
 class WarmPixelMap:
-    """Learns which pixels stand out in every image, and repairs them in those that follow.
+    """Warm pixels of a camera: learned from frames, and repaired in later ones.
 
     From an hour and a half after the first image on there is a list; it is made anew with each image and stays over
     the day. With a file it is read before the first image, and written by `save`.
@@ -103,7 +103,7 @@ class WarmPixelMap:
         return self._seen[-1][1] if self._seen else np.zeros(0, dtype=np.int64)
 
     def resume(self, sensor: SensorFormat, seen: Iterable[tuple[datetime, IntArray]]) -> None:
-        """Take up the images of a night from before a restart: the time of each, and the pixels that stood out."""
+        """Restore the images of a night from before a restart: time and outstanding pixels of each."""
         self._begin_with_sensor(sensor)
         self._seen.extend(seen)
         self._learn_warm_pixels()

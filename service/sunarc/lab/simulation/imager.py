@@ -289,7 +289,7 @@ class _Imager:
             self._timeline.set_speed(speed, elapsed_s=elapsed_s)
 
     def obey(self) -> None:
-        """Carry out the orders that are valid at any time: power off and on, or drop the controlling client."""
+        """Carry out register orders that are valid at any time: power cycle, or drop the controlling client."""
         if self._camera.read(genicam.POWER_CYCLE):
             self._reset_registers()
         if self._camera.read(genicam.DROP_CONTROL):

@@ -215,7 +215,7 @@ def _md5(*parts: str) -> str:
 
 
 def serve_pictures(server: PictureServer, address: tuple[str, int], stop: threading.Event) -> None:
-    """Answer at an address (host, port) until stopped.
+    """Serve the present picture at an address (host, port) until stopped.
 
     Raises
     ------

@@ -33,7 +33,7 @@ _MOON = 2.5e-6  # the full moon's brightness over the sun's
 
 
 class Scene:
-    """A site's sky on a sensor behind a lens: the same moment and exposure give the same counts, everywhere.
+    """Sky of a site on a simulated sensor: the same time and exposure always give the same counts.
 
     Parameters
     ----------
@@ -291,14 +291,14 @@ _TRANSMISSION = {"R": 0.6, "G": 1.0, "B": 0.7}  # of white light, of the most se
 
 
 def behind_mosaic(light: NDArray[np.float32], bayer: Bayer, *, first: tuple[int, int]) -> None:
-    """Dim each pixel as its colour filter does; `first` is the sensor's column and row of the first pixel."""
+    """Multiply each pixel by its colour filter; `first` is the sensor's column and row of the first pixel."""
     for k, letter in enumerate(bayer):
         row, column = (k // 2 - first[1]) % 2, (k % 2 - first[0]) % 2
         light[row::2, column::2] *= _TRANSMISSION[letter]
 
 
 def run_over(light: NDArray[np.float32], most: float, share: float) -> None:
-    """Let the surplus of a well run along its column, half up and half down, until wells with room have taken it.
+    """Spread the surplus of a full well along its column, half up and half down, until wells with room take it.
 
     Parameters
     ----------

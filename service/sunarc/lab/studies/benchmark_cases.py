@@ -116,7 +116,7 @@ class _Instrument:
         return np.asarray(project(self.camera, directions) + shift[:, None] * outwards)
 
     def turned(self, rng: np.random.Generator, degrees: float) -> _Instrument:
-        """Return it turned by an angle about an axis that is drawn."""
+        """Return the instrument rotated by an angle about a random axis."""
         return replace(self, camera=_turn_camera(self.camera, rng, degrees))
 
 

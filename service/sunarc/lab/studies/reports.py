@@ -59,7 +59,7 @@ def write_tables(rows: Sequence[TableRow], *, folder: Path) -> tuple[Path, ...]:
 
 
 def write_csv(path: Path, columns: Sequence[str], rows: Sequence[Mapping[str, str | int | float]]) -> Path:
-    """Write rows as CSV."""
+    """Write rows as a CSV file, and return its path."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)

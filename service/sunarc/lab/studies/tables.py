@@ -112,7 +112,7 @@ def published_row(case: Case) -> TableRow:
 
 
 def _misfit_columns(fit: Calibration, arc: Sightings, points: Sightings) -> TableRow:
-    """Return Eq. 27 over all sightings, as the paper has it, whatever the method left out."""
+    """Return the columns of Eq. 27 over all sightings, as the paper has it."""
     rmse, mae, sd, sd_of_distance = measures(project(fit.camera, arc.directions) - points.pixels)
     return {"rmse_px": rmse, "mae_px": mae, "sd_px": sd, "sd_of_distance_px": sd_of_distance}
 

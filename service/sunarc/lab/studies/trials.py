@@ -61,7 +61,7 @@ _STEPS = 10
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Batch:
-    """Common data of fits of one geometry: detections at the same moments by cameras like one that is known.
+    """Common data of many fits of one geometry: times and directions, and cameras near a known one.
 
     Directions, bins, scales to try and the lens's prior are made once. The search for a start is left out, since all
     begin at the known camera, and so is the uncertainty: what is returned is the camera that `calibrate` returns.
