@@ -291,6 +291,8 @@ _CENTRE_LIKE_TILT_DEG = 5.0
 _PATTERNS, _PATTERNS_REFINED = 40, 5
 _FIRST_ROUNDS, _LAST_ROUNDS = ((0.06, 3.0), (0.04, 3.5)), _ROUNDS[4:]
 _MOST_TRIED = 2
+_PROVEN_LOG10_CHANCE = -20.0
+"""Of a rough camera, which ends the search: chance brings one in 1e20 images."""
 
 
 def _by_pattern(
@@ -343,12 +345,18 @@ def _refine_patterns(
 
     x, y = field.centre
     centres = {False: (x, y), True: (image_size[0] - 1.0 - x, y)}
-    nearer = [refined(pattern_camera(one, centres[one.mirrored], image_size), alone, _FIRST_ROUNDS) for one in rough]
-    first = [one.camera for one in nearer if one is not None]
-    first.sort(key=chance)
+    first: list[tuple[float, Camera]] = []
+    for one in rough:
+        nearer = refined(pattern_camera(one, centres[one.mirrored], image_size), alone, _FIRST_ROUNDS)
+        if nearer is not None:
+            first.append((chance(nearer.camera), nearer.camera))
+            if first[-1][0] < _PROVEN_LOG10_CHANCE:  # no other camera can be
+                first = first[-1:]
+                break
+    first.sort(key=lambda one: one[0])
     found: list[_Hypothesis] = []
-    for one in first[:_PATTERNS_REFINED]:
-        better = refined(one, alone, _LAST_ROUNDS)
+    for _, near in first[:_PATTERNS_REFINED]:
+        better = refined(near, alone, _LAST_ROUNDS)
         if better is not None and not any(_same(better.camera, other.camera) for other in found):
             found.append(_judged(better, images)._replace(log10_chance=chance(better.camera)))
     return found

@@ -142,18 +142,26 @@ def _search_lens(away: FloatArray, turned: _TiltedStars, focal: float, shape: fl
     used = np.flatnonzero(angle < MAX_ANGLE)[:_DETECTIONS]
     first, last = (np.searchsorted(turned.off_axis, angle[used] + side).tolist() for side in (-_REACH, _REACH))
     pairs = [turned.key[begin:end] for begin, end in zip(first, last, strict=True)]
+    if not pairs:
+        return
+    keys, count = np.concatenate(pairs), [key.size for key in pairs]
     for mirrored, x in ((False, away[used, 0]), (True, -away[used, 0])):
-        place = _bin_index(np.arctan2(away[used, 1], x)).tolist()
-        keys = np.concatenate([key + one for key, one in zip(pairs, place, strict=True)]) if pairs else np.zeros(0, int)
-        votes = np.bincount(keys, minlength=turned.tilts.shape[0] * 2 * _BINS).reshape(-1, 2, _BINS).sum(axis=1)
-        window = sum((np.roll(votes, side, axis=-1) for side in (-1, 1)), votes).astype(np.float64)
-        mean = np.maximum(window.mean(axis=-1, keepdims=True), 1.0)
-        # the logarithm of how improbable so many votes are where so many are usual
-        score = np.where(window > mean, window * np.log(np.maximum(window, 1.0) / mean) - (window - mean), 0.0)
+        place = np.repeat(_bin_index(np.arctan2(away[used, 1], x)), count)
+        votes = np.bincount(keys + place, minlength=turned.tilts.shape[0] * 2 * _BINS).reshape(-1, 2, _BINS).sum(axis=1)
+        window = sum((np.roll(votes, side, axis=-1) for side in (-1, 1)), votes)
+        mean = np.maximum(window.mean(axis=-1), 1.0)
+        tilts = np.argsort(-_improbability(window.max(axis=-1), mean), kind="stable")[:_KEPT_A_LENS]
+        score = _improbability(window[tilts], mean[tilts, None])
         for row in np.argpartition(-score, _KEPT_A_LENS, axis=None)[:_KEPT_A_LENS].tolist():
             tilt, middle = divmod(row, _BINS)
             about = rotation_matrix(np.array([0.0, 0.0, middle * 2.0 * math.pi / _BINS]))
-            yield Pattern(float(score[tilt, middle]), mirrored, focal, shape, about @ turned.tilts[tilt])
+            yield Pattern(float(score[tilt, middle]), mirrored, focal, shape, about @ turned.tilts[tilts[tilt]])
+
+
+def _improbability(votes: IntArray, usual: FloatArray) -> FloatArray:
+    """Return the logarithm of how improbable so many votes are where so many are usual; it rises with the votes."""
+    score = votes * np.log(np.maximum(votes, 1.0) / usual) - (votes - usual)
+    return np.where(votes > usual, score, 0.0)
 
 
 def pattern_camera(pattern: Pattern, centre: tuple[float, float], image_size: tuple[int, int]) -> Camera:

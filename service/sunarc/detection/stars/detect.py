@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import reduce
 from typing import NamedTuple
 
 import cv2
@@ -86,10 +87,11 @@ _COLOURS = {
 def light_plane(image: Image, full_scale: int, bayer: Bayer | None) -> tuple[Plane, BoolArray]:
     """Return the light of an image, counts, and where it is clipped in any colour, or next to such a pixel."""
     colours = cv2.cvtColor(image, _COLOURS[bayer]) if bayer is not None and image.ndim == 2 else image
-    top = colours.max(axis=-1) if colours.ndim == 3 else colours
+    parts = [colours[..., one] for one in range(colours.shape[2])] if colours.ndim == 3 else [colours]
+    top = reduce(np.maximum, parts)
     clipped = cv2.dilate((top >= _CLIPPED * full_scale).astype(np.uint8), np.ones((3, 3), dtype=np.uint8)) > 0
-    light = colours.mean(axis=-1, dtype=np.float32) if colours.ndim == 3 else colours.astype(np.float32)
-    return light, np.asarray(clipped)
+    light = sum((one.astype(np.float32) for one in parts[1:]), parts[0].astype(np.float32)) / np.float32(len(parts))
+    return np.asarray(light), np.asarray(clipped)
 
 
 def find_maxima(plane: Plane, ground: Background, clipped: BoolArray, usable: BoolArray, width: float) -> FloatArray:
@@ -147,7 +149,8 @@ def _single(places: FloatArray, apart: float) -> FloatArray:
 
 _ROUNDS = 12
 """Levenberg-Marquardt steps; a star converges in four to eight."""
-_CONVERGED_PX = 1e-4
+_CONVERGED = 1e-4
+"""Square of the last step in 1-sigmas; a tenth of that remains at most."""
 _PLACE = 4
 """The first parameters: x, y, height, background; the shape follows."""
 
@@ -192,17 +195,20 @@ def fit_point_spreads(stamps: Stamps, start: FloatArray, *, gain_e: float | None
     free = start.shape[1] if shape else _PLACE
     now = start.copy()
     damping = np.full(now.shape[0], 1e-3)
+    moving = np.arange(now.shape[0])
     for _ in range(_ROUNDS):
-        weight = _weights(stamps, now, gain_e)
-        cost, normal, gradient = _equations(stamps, now, weight, free)
-        step = _solve_pairs(normal + damping[:, None, None] * _diagonal(normal), gradient)
-        tried = now.copy()
+        part, at = Stamps(*(column[moving] for column in stamps)), now[moving]
+        weight = _weights(part, at, gain_e)
+        cost, normal, gradient = _equations(part, at, weight, free)
+        step = _solve_pairs(normal + damping[moving, None, None] * _diagonal(normal), gradient)
+        tried = at.copy()
         tried[:, :free] += step
         with np.errstate(over="ignore", invalid="ignore"):  # a step may lead anywhere, and is then not taken
-            better = (_cost(stamps, tried, weight) < cost) & _is_shape(tried)
-        now[better] = tried[better]
-        damping = np.where(better, 0.2 * damping, 8.0 * damping)
-        if np.all(np.abs(step[:, :2]) < _CONVERGED_PX):
+            better = (_cost(part, tried, weight) < cost) & _is_shape(tried)
+        now[moving[better]] = tried[better]
+        damping[moving] *= np.where(better, 0.2, 8.0)
+        moving = moving[np.abs(np.einsum("nk,nk->n", step, gradient)) > _CONVERGED]
+        if moving.size == 0:
             break
     weight = _weights(stamps, now, gain_e)
     cost, normal, _ = _equations(stamps, now, weight, free)
@@ -262,13 +268,13 @@ def _equations(
     """Return chi² (n,), the normal matrices (n, k, k) and gradients (n, k) of the first `free` parameters."""
     model, slopes = _model(stamps, at, free)
     residual = stamps.value - model
-    weighted = np.swapaxes(slopes * weight[..., None], 1, 2)
+    weighted = slopes * weight[:, None]
     cost = np.sum(residual**2 * weight, axis=-1)
-    return cost, weighted @ slopes, (weighted @ residual[..., None])[..., 0]
+    return cost, weighted @ np.swapaxes(slopes, 1, 2), (weighted @ residual[..., None])[..., 0]
 
 
 def _model(stamps: Stamps, at: FloatArray, free: int) -> tuple[FloatArray, FloatArray]:
-    """Return the model (n, m) and its derivatives (n, m, free)."""
+    """Return the model (n, m) and its derivatives (n, free, m)."""
     x, y, height, level, xx, xy, yy = (column[:, None] for column in at.T)
     dx, dy = stamps.x - x, stamps.y - y
     bell = np.exp(-0.5 * np.clip(xx * dx**2 + 2.0 * xy * dx * dy + yy * dy**2, 0.0, 60.0))
@@ -278,7 +284,7 @@ def _model(stamps: Stamps, at: FloatArray, free: int) -> tuple[FloatArray, Float
     slopes = [light * (xx * dx + xy * dy), light * (xy * dx + yy * dy), bell, np.ones_like(bell)]
     if free > _PLACE:
         slopes += [-0.5 * light * dx**2, -light * dx * dy, -0.5 * light * dy**2]
-    return light + level, np.stack(slopes, axis=-1)
+    return light + level, np.stack(slopes, axis=1)
 
 
 def _diagonal(matrices: FloatArray) -> FloatArray:
@@ -482,14 +488,27 @@ def stamps_at(
     x, y = places[:, :1].astype(int) + dx, places[:, 1:].astype(int) + dy
     inside = (x >= 0) & (y >= 0) & (x < plane.shape[1]) & (y < plane.shape[0])
     column, row = np.clip(x, 0, plane.shape[1] - 1), np.clip(y, 0, plane.shape[0] - 1)
-    nearest = cKDTree(places).query(np.stack([x, y], axis=-1))[1]
-    own = nearest == np.arange(places.shape[0])[:, None]
+    own = _own_pixels(places, dx, dy)
     full = clipped[row, column]
     used = inside & own & ~full
     variance = np.where(used, ground.noise[row, column].astype(np.float64) ** 2, np.inf)
     value = (plane[row, column] - ground.level[row, column]).astype(np.float64)
     near = np.hypot(dx, dy) <= 2.0 * width + 1.0
     return Stamps(x.astype(float), y.astype(float), value, variance), np.any(full & near & own, axis=-1)
+
+
+def _own_pixels(places: FloatArray, dx: IntArray, dy: IntArray) -> BoolArray:
+    """Return (n, m): whether no other place is nearer to the pixels around each; of two as near the first has it."""
+    own = np.ones((places.shape[0], dx.size), dtype=bool)
+    pairs = cKDTree(places).query_pairs(2.0 * float(np.hypot(dx, dy).max()), output_type="ndarray")
+    row, other = np.concatenate([pairs, pairs[:, ::-1]]).T
+    away = places[other] - places[row]
+    limit = np.sum(away**2, axis=-1) - np.where(row < other, 0.0, 0.5)
+    rank = rank_in_part(row)
+    for turn in range(int(rank.max(initial=-1)) + 1):
+        some = rank == turn
+        own[row[some]] &= 2.0 * (away[some, :1] * dx + away[some, 1:] * dy) <= limit[some, None]
+    return own
 
 
 def start_at(stamps: Stamps, places: FloatArray, shape: FloatArray) -> FloatArray:
@@ -505,8 +524,8 @@ def measure_bright_shapes(
     """Return places (k, 2) and covariances (k, 3) px² of the point spread of bright stars; None without any."""
     if places.shape[0] == 0:
         return None
-    width, wanted = FIRST_WIDTH_PX, places[: 4 * _SHAPES]
-    for _ in range(2):  # the second time with stamps of the right size
+    width, every = FIRST_WIDTH_PX, places[: 4 * _SHAPES]
+    for wanted in (every[::4] if every.shape[0] > 2 * _SHAPES else every, every):  # then with stamps of the right size
         stamps, cut_off = stamps_at(plane, ground, clipped, wanted, width)
         start = start_at(stamps, wanted, np.tile([width**2, 0.0, width**2], (wanted.shape[0], 1)))
         fitted = fit_point_spreads(stamps, start, gain_e=gain_e, shape=True)
