@@ -21,6 +21,7 @@ import numpy as np
 import pandas as pd
 import pvlib
 import pytest
+from PIL import Image
 from tests.fixtures.rtsp_camera import RtspCamera
 
 from sunarc.common.findings import Finding, FindingError
@@ -92,6 +93,25 @@ def test_a_folder_is_looked_at_and_a_file_written_that_the_service_reads(
     green = (shown[..., 1].astype(int) - shown[..., 2] > 100) & (shown[..., 0] < 60)
     rows, columns = np.nonzero(green)
     assert (columns.mean(), rows.mean()) == pytest.approx((195.0, 90.0), abs=1.0)
+
+
+def test_pictures_are_looked_at_upright_where_exif_is_to_be_followed(
+    sunarc: Sunarc, tmp_path: Path, pictures: Path
+) -> None:
+    exif = Image.Exif()
+    exif[0x0112] = 3
+    for path in pictures.rglob("*.jpg"):
+        with Image.open(path) as picture:
+            picture.copy().save(path, exif=exif, quality=95)
+    answer = init(
+        sunarc, tmp_path / "a.toml", *SITE, "--folder", str(pictures), "--utc-offset", "0", "--follow-exif", "--json"
+    )
+    assert answer.code == 0, answer.err
+    settings = load_settings(tmp_path / "a.toml")
+    assert settings.folder is not None
+    assert settings.folder.follow_exif
+    (picture,) = [check for check in record_of(answer)["checks"] if check["what"] == "picture"]
+    assert f"({SIZE - 1 - 195}, {SIZE - 1 - 90})" in picture["text"]
 
 
 def test_a_second_run_changes_what_is_given_and_keeps_the_rest(sunarc: Sunarc, tmp_path: Path, pictures: Path) -> None:

@@ -30,7 +30,7 @@ from sunarc.archives.states import ArchiveCamera, Epoch, State, disagreeing_days
 from sunarc.calibration.model.options import ImageCircle
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.common.findings import Finding
-from sunarc.common.foreign_files import is_regular, name_path, name_text
+from sunarc.common.foreign_files import is_regular, name_path
 from sunarc.common.utc import from_microseconds
 from sunarc.detection.values import Detection, Expectation, Verdict
 from sunarc.detection.values import Method as DetectionMethod
@@ -50,6 +50,8 @@ from sunarc.sources.image_key import ImageKey
 from sunarc.sources.image_times import ASSUMED_UTC, TimeRules
 from sunarc.sources.index import ArchiveImage, CameraImages, CameraPlan, Failure, ReportProgress, Selector, index_folder
 from sunarc.sources.look import IN_STACK, PackedMask
+from sunarc.sources.source_files import stored_address
+from sunarc.sources.sources import open_folder
 
 _BATCH = 32
 """Sightings written at once; a run that is killed loses no more, and finds them again."""
@@ -66,6 +68,7 @@ class IngestOptions:
     rules : how times are read.
     files : which files are the camera's, a pattern of `fnmatch` for their names.
     only : of these the ones to be read, by their paths below the folder; None for all.
+    follow_exif : turn pictures as their EXIF orientation states.
     reprocess : read images again that are known, in place of their former sightings.
     processes : how many images are read at once.
     contact_sheet : file of the contact sheet; None for `ingest/contact-sheet.png` in the state folder.
@@ -75,6 +78,7 @@ class IngestOptions:
     rules: TimeRules = field(default_factory=lambda: ASSUMED_UTC)
     files: str = "*"
     only: frozenset[str] | None = None
+    follow_exif: bool = False
     reprocess: bool = False
     processes: int = 1
     contact_sheet: Path | None = None
@@ -148,7 +152,9 @@ def ingest_followed(settings: Settings, *, rules: TimeRules, only: frozenset[str
     folder = settings.folder
     if folder is None:
         raise ValueError("settings without [folder]")
-    options = IngestOptions(method=folder.method, rules=rules, files=folder.files, only=only)
+    options = IngestOptions(
+        method=folder.method, rules=rules, files=folder.files, only=only, follow_exif=folder.follow_exif
+    )
     ingest_folder(settings, folder.path, options=options)
     return True
 
@@ -157,7 +163,7 @@ def _plan(settings: Settings, folder: Path, options: IngestOptions, size: tuple[
     return CameraPlan(
         name=settings.name,
         site=settings.place,
-        selector=Selector((name_text(folder),), options.files, options.only),
+        selector=Selector((open_folder(folder, follow_exif=options.follow_exif).address,), options.files, options.only),
         rules=options.rules,
         image_size=size,
         method=options.method,
@@ -420,7 +426,7 @@ class FolderLedger:
 
     def _is_there(self, key: ImageKey) -> bool:
         """Return whether a file is below the folder, though it is not read in this run."""
-        root = Path(name_path(self.camera.plan.selector.sources[0]))
+        root = Path(name_path(stored_address(self.camera.plan.selector.sources[0])))
         return key.folder != "" and is_regular(root / name_path(key.folder) / name_path(key.file.partition("#")[0]))
 
     def _write(self) -> None:

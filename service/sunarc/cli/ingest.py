@@ -17,6 +17,7 @@ from sunarc.cli.options import (
     ClockError,
     Config,
     DetectionMethod,
+    FollowExif,
     LevelWithin,
     TimePatternOption,
     parse_choice,
@@ -47,6 +48,7 @@ def ingest(
         str | None,
         typer.Option(help="Times without a zone, ahead of UTC: 0 unless given; hours, or as Europe/Berlin."),
     ] = None,
+    follow_exif: FollowExif = False,
     reprocess: Annotated[
         bool, typer.Option("--reprocess", help="Look at known images again, and replace their sightings.")
     ] = False,
@@ -90,6 +92,7 @@ def ingest(
             documents=True,
             is_offset_assumed=utc_offset is None,
         ),
+        follow_exif=follow_exif or (settings.folder is not None and settings.folder.follow_exif),
         reprocess=reprocess,
         processes=workers or usable_processors(),
         contact_sheet=contact_sheet,

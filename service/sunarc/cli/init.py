@@ -14,7 +14,7 @@ from typing import Annotated, Any, NamedTuple
 import typer
 from rich.markup import escape
 
-from sunarc.cli.options import AsJson, TimePatternOption, print_json, print_table
+from sunarc.cli.options import AsJson, FollowExif, TimePatternOption, print_json, print_table
 from sunarc.common.errors import InputError, disk_errors
 from sunarc.common.findings import Finding, FindingError
 from sunarc.common.foreign_files import name_text
@@ -142,6 +142,7 @@ def init(
         str | None, typer.Option(help="Largest tilt of the camera, degrees; 5 for one that is level.")
     ] = None,
     time_pattern: TimePatternOption = None,
+    follow_exif: FollowExif = False,
     writing: Annotated[
         str | None, typer.Option(help="How writing in the picture looks: readable, mirrored or unknown.")
     ] = None,
@@ -182,6 +183,7 @@ def init(
         "state": None if state is None else str(state.absolute()),
         "api.port": port,
         "site.timezone": timezone,
+        "folder.follow_exif": follow_exif or None,
     }
     answers.set(plain)
     if answers.value("site.timezone") is None:

@@ -90,6 +90,10 @@ OutwardsPx = Annotated[
         show_default=False,
     ),
 ]
+FollowExif = Annotated[
+    bool,
+    typer.Option("--follow-exif", help="Turn pictures as their EXIF orientation states; else they are as stored."),
+]
 ProjectionOption = Annotated[
     list[str] | None,
     typer.Option(

@@ -14,6 +14,7 @@ from sunarc.cli.options import (
     AsJson,
     CalibrationFile,
     DetectionMethod,
+    FollowExif,
     parse_choice,
     print_json,
     print_sentence,
@@ -34,6 +35,7 @@ def detect(
     method: DetectionMethod = "auto",
     full_scale: Annotated[int | None, typer.Option(help="Largest count; judged from the file unless given.")] = None,
     bayer: Annotated[str | None, typer.Option(help="Colours of a raw mosaic: RGGB, BGGR, GRBG or GBRG.")] = None,
+    follow_exif: FollowExif = False,
     overlay: Annotated[
         Path | None, typer.Option(callback=act_as_folder_owner, help="Write the (one) image with a cross on the sun.")
     ] = None,
@@ -47,7 +49,11 @@ def detect(
         raise InputError(field="--overlay", problem=f"{len(images)} images", remedy="give one image with it")
     mosaic = None if bayer is None else parse_choice("--bayer", bayer, BAYERS)
     found = detect_in_files(
-        images, method=parse_choice("--method", method, METHODS), full_scale=full_scale, bayer=mosaic
+        images,
+        method=parse_choice("--method", method, METHODS),
+        full_scale=full_scale,
+        bayer=mosaic,
+        follow_exif=follow_exif,
     )
     unread = [row for row in found if row["verdict"] == "no_frame"]
     if as_json:
@@ -59,7 +65,7 @@ def detect(
     if len(unread) == len(found):
         raise typer.Exit(2)
     if overlay is not None:
-        draw_overlay(images[0], found[0], overlay)
+        draw_overlay(images[0], found[0], overlay, follow_exif=follow_exif)
     if not any(row["accepted"] for row in found):
         raise typer.Exit(1)
 

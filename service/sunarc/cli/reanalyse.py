@@ -21,6 +21,7 @@ from sunarc.cli.options import (
     AsJson,
     ClockError,
     DetectionMethod,
+    FollowExif,
     LatitudeIfGiven,
     LevelWithin,
     LongitudeIfGiven,
@@ -47,6 +48,7 @@ from sunarc.sources.detect_files import METHODS
 from sunarc.sources.image_times import TimeRules, parse_utc_offset
 from sunarc.sources.index import CameraPlan, Indexed, Selector, index_archive, new_camera_name, read_cameras
 from sunarc.sources.source_dates import by_date
+from sunarc.sources.sources import upright_addresses
 from sunarc.sources.time_patterns import checked_pattern
 
 _LISTED = 10
@@ -86,6 +88,7 @@ def reanalyse_archive(
     calibration: Annotated[
         Path | None, typer.Option(help="A calibration document (JSON) that the search for epochs begins with.")
     ] = None,
+    follow_exif: FollowExif = False,
     method: DetectionMethod = "auto",
     projection: ProjectionOption = None,
     mirrored: MirroredOption = None,
@@ -131,7 +134,10 @@ def reanalyse_archive(
     )
     stated = (("latitude", latitude or calibration), ("longitude", longitude or calibration))
     missing = [name for name, given in stated if given is None]
-    plans = _plans(common) if cameras is None else read_cameras(cameras, common=common, required=missing)
+    if cameras is None:
+        plans = _plans(common, follow_exif=follow_exif)
+    else:
+        plans = read_cameras(cameras, common=common, required=missing, follow_exif=follow_exif)
     plans = _assign_patterns(plans, time_pattern or [])
     indexed = index_archive(plans)
     _confirm(indexed, yes=yes)
@@ -170,7 +176,7 @@ def _site(
     return Site(latitude=latitude or 0.0, longitude=longitude or 0.0, altitude=altitude)
 
 
-def _plans(common: CameraPlan) -> list[CameraPlan]:
+def _plans(common: CameraPlan, *, follow_exif: bool) -> list[CameraPlan]:
     """Return one camera for each source, by the source's name; sources that differ by their dates alone are one."""
     if not common.selector.sources:
         raise InputError(field="SOURCE", problem="missing", remedy="name a folder or archive, or give --cameras FILE")
@@ -178,7 +184,8 @@ def _plans(common: CameraPlan) -> list[CameraPlan]:
     for undated, addresses in by_date(common.selector.sources):
         wanted = PurePosixPath(undated).name.partition(".")[0] or "camera"
         name = new_camera_name(wanted, taken=plans)
-        plans[name] = replace(common, name=name, selector=Selector(addresses))
+        selector = Selector(upright_addresses(addresses) if follow_exif else addresses)
+        plans[name] = replace(common, name=name, selector=selector)
     return list(plans.values())
 
 

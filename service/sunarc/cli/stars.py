@@ -13,6 +13,7 @@ from sunarc.calibration.selection import MOST_STARS
 from sunarc.cli.options import (
     Altitude,
     AsJson,
+    FollowExif,
     LatitudeIfGiven,
     LongitudeIfGiven,
     TimePatternOption,
@@ -81,6 +82,7 @@ def stars(
     ] = 10.0,
     within: Annotated[float, typer.Option(help="1-sigma of the prediction beside the calibration's own, px.")] = 0.0,
     full_scale: Annotated[int | None, typer.Option(help="Largest count; judged from the file unless given.")] = None,
+    follow_exif: FollowExif = False,
     bayer: Annotated[str | None, typer.Option(help="Colours of a raw mosaic: RGGB, BGGR, GRBG or GBRG.")] = None,
     gain: Annotated[float | None, typer.Option(help="Electrons per count of a linear camera.")] = None,
     most: Annotated[int, typer.Option(help="Stars that are written, the surest of each part of the sky.")] = MOST_STARS,
@@ -122,6 +124,7 @@ def stars(
         bayer=None if bayer is None else parse_choice("--bayer", bayer, BAYERS),
         gain_e_per_count=gain,
         clock_error_s=clock_error,
+        follow_exif=follow_exif,
     )
     known_camera = None if blind or calibration is None else read_calibration(calibration)
     place = (

@@ -51,7 +51,7 @@ from sunarc.imager.workers.hub_connection import HubConnection, HubRefusal
 from sunarc.imager.workers.push import Sink
 from sunarc.sky.site import Site
 from sunarc.sources.image_files import read_one_image
-from sunarc.sources.sources import Folder, open_source
+from sunarc.sources.sources import Folder, open_folder
 
 # Checks of a camera: abilities, stream, exposures, and a few trial frames.
 
@@ -273,7 +273,7 @@ def _try_pictures(options: FolderOptions, site: Site, picture: Path | None) -> I
         text = f"{options.path} is no folder; give --folder, or let the other program make it"
         yield TriedResult("folder", "fail", text, ("folder_missing",))
         return
-    source = open_source(name_text(options.path))
+    source = open_folder(options.path, follow_exif=options.follow_exif)
     names = [file.name for file in source.files() if is_image(file.name, options.files)]
     rules = time_rules(options)
 

@@ -37,7 +37,7 @@ from sunarc.sources.fits_files import fits_bayer, fits_site
 from sunarc.sources.image_files import read_one_image
 from sunarc.sources.image_times import ASSUMED_UTC, HEADER_FAMILIES, TimedFrame, TimeRules, name_sidecar, timed_frames
 from sunarc.sources.source_files import opened
-from sunarc.sources.sources import Folder
+from sunarc.sources.sources import Folder, open_folder
 from sunarc.stars.blind_start import BlindOptions, BlindStart, NightDetections, add_star_clock_error, blind_start
 from sunarc.stars.views import StarView, match_views, matching_flip, predict_stars
 
@@ -54,6 +54,7 @@ class StarOptions:
     bayer, full_scale : of raw frames; full scale is judged from the file where None.
     gain_e_per_count : electrons per count of a linear camera; None where not known.
     clock_error_s : bound of the error of their times, s; a camera that they give is turned about the pole with it.
+    follow_exif : turn pictures as their EXIF orientation states.
     reduced_by : the factor that images are reduced by before stars are detected in them.
     """
 
@@ -64,6 +65,7 @@ class StarOptions:
     full_scale: int | None = None
     gain_e_per_count: float | None = None
     clock_error_s: float = 10.0
+    follow_exif: bool = False
     reduced_by: int = 1
 
 
@@ -294,7 +296,7 @@ def read_timed(path: Path, options: StarOptions) -> tuple[datetime, Image, Bayer
 
     The time of a header with an exposure is that of the middle. A pattern of names goes first.
     """
-    source, name = Folder(name_text(path.parent)), name_text(path.name)
+    source, name = open_folder(path.parent, follow_exif=options.follow_exif), name_text(path.name)
     time = read_time(path, options)
     found = read_one_image(source, name)
     if isinstance(found, Finding):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import cv2
 import numpy as np
@@ -29,7 +29,12 @@ _CROSS_PX = 60
 
 
 def detect_in_files(
-    paths: Sequence[Path], *, method: Method = "auto", full_scale: int | None = None, bayer: Bayer | None = None
+    paths: Sequence[Path],
+    *,
+    method: Method = "auto",
+    full_scale: int | None = None,
+    bayer: Bayer | None = None,
+    follow_exif: bool = False,
 ) -> list[dict[str, Any]]:
     """Look for the sun in each file; one that is no image gets a row with its reason, and no sun.
 
@@ -39,8 +44,19 @@ def detect_in_files(
     method : see `detect_in_image`.
     full_scale : the largest count; judged from the file where None.
     bayer : colours of a raw mosaic's top-left 2×2 pixels.
+    follow_exif : turn pictures as their EXIF orientation states; they are read as they are stored otherwise.
     """
-    return [_make_row(path, method=method, full_scale=full_scale, bayer=bayer) for path in paths]
+    options = _Options(method, full_scale, bayer, follow_exif)
+    return [_make_row(path, options) for path in paths]
+
+
+class _Options(NamedTuple):
+    """Options of `detect_in_files`."""
+
+    method: Method
+    full_scale: int | None
+    bayer: Bayer | None
+    follow_exif: bool
 
 
 def detect_in_image(
@@ -83,9 +99,9 @@ def detect_in_image(
     return detect_sun(image, sensor=sensor, expectation=expectation, exposure_us=exposure_us)
 
 
-def draw_overlay(path: Path, found: dict[str, Any], target: Path) -> None:
+def draw_overlay(path: Path, found: dict[str, Any], target: Path, *, follow_exif: bool = False) -> None:
     """Write the image with a cross on the sun: green where it is accepted, orange where it is rejected."""
-    image = read_image(path)
+    image = read_image(path, follow_exif=follow_exif)
     canvas = preview(image) if image.ndim == 2 else _convert_to_eight_bits(image)
     if canvas.ndim == 2:
         canvas = cv2.cvtColor(canvas, cv2.COLOR_GRAY2BGR).astype(np.uint8)
@@ -99,9 +115,10 @@ def draw_overlay(path: Path, found: dict[str, Any], target: Path) -> None:
         target.write_bytes(cv2.imencode(".png", canvas)[1].tobytes())
 
 
-def _make_row(path: Path, *, method: Method, full_scale: int | None, bayer: Bayer | None) -> dict[str, Any]:
+def _make_row(path: Path, options: _Options) -> dict[str, Any]:
     try:
-        found = detect_in_image(read_image(path), method=method, full_scale=full_scale, bayer=bayer)
+        image = read_image(path, follow_exif=options.follow_exif)
+        found = detect_in_image(image, method=options.method, full_scale=options.full_scale, bayer=options.bayer)
     except InputError as error:
         unreadable = Finding("file_unreadable", {"error": str(error)})
         why = error.finding if isinstance(error, FindingError) else unreadable

@@ -33,12 +33,12 @@ def read_lines(path: Path) -> list[str]:
         raise InputError(field=name_text(path), problem="is not text", remedy="give a CSV file in UTF-8") from None
 
 
-def read_image(path: Path) -> Image:
-    """Return the image of a file, the first one of several, as it is stored; InputError where it cannot be used."""
+def read_image(path: Path, *, follow_exif: bool = False) -> Image:
+    """Return the image of a file, the first of several, as stored or upright; InputError where it cannot be used."""
     from sunarc.sources.image_files import read_one_image  # noqa: PLC0415 - a file of numbers is read without OpenCV
-    from sunarc.sources.sources import Folder  # noqa: PLC0415
+    from sunarc.sources.sources import open_folder  # noqa: PLC0415
 
-    found = read_one_image(Folder(name_text(path.parent)), name_text(path.name))
+    found = read_one_image(open_folder(path.parent, follow_exif=follow_exif), name_text(path.name))
     if isinstance(found, Finding):
         raise FindingError(name_text(path), found)
     return found

@@ -6,7 +6,7 @@ import io
 import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 from PIL import ExifTags
@@ -20,7 +20,16 @@ from sunarc.imaging.metadata import embedded_document
 from sunarc.imaging.preview import decoded
 from sunarc.sources.file_kinds import FILE_KINDS, Kind, find_kind, unread_content, unread_finding
 from sunarc.sources.fits_files import fits_frame, fits_image
-from sunarc.sources.source_files import MOST_PIXELS, FileImage, ImageSource, not_read, opened, read_content, unreadable
+from sunarc.sources.source_files import (
+    MOST_PIXELS,
+    UPRIGHT_ADDRESS,
+    FileImage,
+    ImageSource,
+    not_read,
+    opened,
+    read_content,
+    unreadable,
+)
 from sunarc.sources.stack_files import (
     NETPBM,
     netcdf_frames,
@@ -38,6 +47,19 @@ _TOO_MANY_PIXELS = Finding("file_too_many_pixels", {"most": 2 * (Pictures.MAX_IM
 _HEAD_BYTES = 1 << 17
 _ONE_IMAGE = ("JPEG", "MPO")  # further images of an MPO are previews
 UPRIGHT = 1
+_TURNS: Mapping[int, Callable[[Image], Image]] = {
+    UPRIGHT: lambda image: image,
+    2: lambda image: image[:, ::-1],
+    3: lambda image: image[::-1, ::-1],
+    4: lambda image: image[::-1],
+    5: lambda image: np.swapaxes(image, 0, 1),
+    6: lambda image: np.rot90(image, -1),
+    7: lambda image: np.swapaxes(image[::-1, ::-1], 0, 1),
+    8: np.rot90,
+}
+"""From the stored rows to the upright picture, by EXIF orientation."""
+_FIRST_SIDEWAYS = 5
+"""Orientations from this one on exchange width and height."""
 _START_OF_SCAN, _END_OF_IMAGE = 0xDA, b"\xff\xd9"
 
 
@@ -208,7 +230,14 @@ def _read_picture(source: ImageSource, name: str, numbers: Sequence[int], size: 
     content = _read_picture_content(source, name)
     if (embedded_document(content[:_HEAD_BYTES]) or {}).get("preview"):
         raise FindingError(name, Finding("file_preview"))
-    yield numbers[0], checked_image(content, name, size=size)
+    turn = _orientation(io.BytesIO(content)) if follows_exif(source.address) else UPRIGHT
+    stored = checked_image(content, name, size=_turned_size(size, turn))
+    yield numbers[0], np.ascontiguousarray(_TURNS[turn](stored))
+
+
+def _turned_size(size: tuple[int, int] | None, orientation: int) -> tuple[int, int] | None:
+    """Return width and height of a picture with its rows stored as an EXIF orientation states, or turned back."""
+    return size[::-1] if size is not None and orientation >= _FIRST_SIDEWAYS else size
 
 
 def _list_netpbm_frames(source: ImageSource, name: str, sidecar: Sidecar) -> list[FileImage]:
@@ -265,7 +294,9 @@ def image_size(source: ImageSource, name: str, number: int = 0) -> tuple[int, in
     try:
         if find_kind(name) == "picture":
             with opened(source, name) as file, Pictures.open(file, formats=FORMATS) as picture:
-                return picture.size
+                size = picture.size
+            turn = exif_orientation(source, name) if follows_exif(source.address) else UPRIGHT
+            return _turned_size(size, turn)
     except (InputError, *_HEADER_ERRORS, Pictures.DecompressionBombError):
         return None
     found = read_one_image(source, name, number)
@@ -303,10 +334,25 @@ def exif_orientation(source: ImageSource, name: str) -> int:
     if find_kind(name) != "picture":
         return UPRIGHT
     try:
-        with opened(source, name) as file, Pictures.open(file, formats=FORMATS) as picture:
-            return int(picture.getexif().get(ExifTags.Base.Orientation, UPRIGHT))
+        with opened(source, name) as file:
+            return _orientation(file)
+    except InputError:
+        return UPRIGHT
+
+
+def follows_exif(address: str) -> bool:
+    """Return whether the pictures of a source are turned as their EXIF orientation states."""
+    return address.startswith(UPRIGHT_ADDRESS)
+
+
+def _orientation(file: BinaryIO) -> int:
+    try:
+        file.seek(0)
+        with Pictures.open(file, formats=FORMATS) as picture:
+            stated = int(picture.getexif().get(ExifTags.Base.Orientation, UPRIGHT))
     except Exception:  # noqa: BLE001 - of damaged heads Pillow raises errors of many kinds
         return UPRIGHT
+    return stated if stated in _TURNS else UPRIGHT
 
 
 def document_in(source: ImageSource, name: str) -> Mapping[str, Any]:

@@ -28,11 +28,11 @@ from sunarc.sky.sun import DARK_ZENITH_DEG, sun_angles
 from sunarc.sources.detect_files import Method
 from sunarc.sources.file_kinds import ONE_IMAGE, find_kind, is_derived, unread_finding
 from sunarc.sources.files import read_file
-from sunarc.sources.image_files import UPRIGHT, exif_orientation, image_size
+from sunarc.sources.image_files import UPRIGHT, exif_orientation, follows_exif, image_size
 from sunarc.sources.image_key import ImageKey, image_key
 from sunarc.sources.image_times import TimedFrame, TimeRules, parse_utc_offset, timed_frames
-from sunarc.sources.source_files import ImageSource, SourceFile
-from sunarc.sources.sources import content_hash, open_source
+from sunarc.sources.source_files import ImageSource, SourceFile, stored_address
+from sunarc.sources.sources import content_hash, open_source, upright_addresses
 from sunarc.sources.time_patterns import checked_pattern
 
 ReportProgress = Callable[[str, int, int], None]
@@ -295,7 +295,7 @@ def index_folder(plan: CameraPlan) -> tuple[CameraImages, list[Failure]]:
     ------
     InputError : it is no folder, or has no images.
     """
-    folder = plan.selector.sources[0]
+    folder = stored_address(plan.selector.sources[0])
     if not Path(name_path(folder)).is_dir():
         raise InputError(field=folder, problem="is no folder", remedy="name a folder of images")
     found, failed = _date_all_images(plan)
@@ -480,7 +480,9 @@ def _read_stated_size(image: ArchiveImage) -> tuple[int, int] | None:
 def _find_orientation(images: Sequence[ArchiveImage]) -> Finding | None:
     """Return the orientation that EXIF states of a camera's images; None where it is upright."""
     some = _sample_images(images)
-    turned = Counter(exif_orientation(open_source(one.address), one.file) for one in some)
+    turned = Counter(
+        UPRIGHT if follows_exif(one.address) else exif_orientation(open_source(one.address), one.file) for one in some
+    )
     upright = turned.pop(UPRIGHT, 0)
     if not turned:
         return None
@@ -491,11 +493,13 @@ def _find_orientation(images: Sequence[ArchiveImage]) -> Finding | None:
 _NUMBERS = ("latitude", "longitude", "altitude")
 _KEYS = {
     "sources", "files", "utc_offset", "time_pattern", *_NUMBERS, "image_size", "projection", "mirrored", "level_within",
-    "method", "clock_error", "calibration",
+    "method", "clock_error", "calibration", "follow_exif",
 }  # fmt: skip
 
 
-def read_cameras(path: Path, *, common: CameraPlan, required: Collection[str] = ()) -> list[CameraPlan]:
+def read_cameras(
+    path: Path, *, common: CameraPlan, required: Collection[str] = (), follow_exif: bool = False
+) -> list[CameraPlan]:
     """Return the cameras of a file; keys left out are those of the command line, but for the required ones of each.
 
     Raises
@@ -513,7 +517,11 @@ def read_cameras(path: Path, *, common: CameraPlan, required: Collection[str] = 
             if isinstance(table, dict) and key not in table:
                 where = f"{path.name}, cameras.{name}"
                 raise InputError(field=where, problem=f"has no {key}", remedy=f"give it there, or --{key}")
-    return [_parse_plan(name, table, common, path) for name, table in tables.items()]
+    turned = {"follow_exif": follow_exif}
+    return [
+        _parse_plan(name, turned | table if isinstance(table, dict) else table, common, path)
+        for name, table in tables.items()
+    ]
 
 
 def _parse_plan(name: str, table: object, common: CameraPlan, path: Path) -> CameraPlan:
@@ -532,6 +540,8 @@ def _parse_plan(name: str, table: object, common: CameraPlan, path: Path) -> Cam
 
 def _fill_plan(name: str, table: Mapping[str, Any], common: CameraPlan, folder: Path) -> CameraPlan:
     sources = _get_converted(table, "sources", lambda given: _parse_sources(given, folder), common.selector.sources)
+    if _get_converted(table, "follow_exif", _parse_flag, False):
+        sources = upright_addresses(sources)
     rules = TimeRules(
         pattern=_get_converted(table, "time_pattern", _parse_pattern, common.rules.pattern),
         offset=_get_converted(
@@ -558,6 +568,12 @@ def _fill_plan(name: str, table: Mapping[str, Any], common: CameraPlan, folder: 
             level_within_deg=_get_converted(table, "level_within", float, common.options.level_within_deg),
         ),
     )
+
+
+def _parse_flag(given: object) -> bool:
+    if not isinstance(given, bool):
+        raise ValueError(f"follow_exif is {given!r}, neither true nor false")  # noqa: TRY004 - of a file's table
+    return given
 
 
 def _parse_pattern(given: object) -> str:

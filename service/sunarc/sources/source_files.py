@@ -26,6 +26,15 @@ class SourceFile(NamedTuple):
     stamp: str
 
 
+UPRIGHT_ADDRESS = "exif:"
+"""Before the address of a source whose pictures are turned as their EXIF orientation states."""
+
+
+def stored_address(address: str) -> str:
+    """Return the address of the same source, whose pictures are read as they are stored."""
+    return address.removeprefix(UPRIGHT_ADDRESS)
+
+
 class ImageSource(Protocol):
     """Files that can be listed and read, in any number of processes at once.
 

@@ -20,18 +20,20 @@ from sunarc.common.errors import InputError, OutsideError
 from sunarc.common.extras import extra_module
 from sunarc.common.foreign_files import name_path, name_text, open_regular, read_regular
 from sunarc.sources.file_kinds import find_kind
-from sunarc.sources.source_files import ImageSource, SourceFile
+from sunarc.sources.source_files import UPRIGHT_ADDRESS, ImageSource, SourceFile, stored_address
 
 
 def open_source(address: str) -> ImageSource:
     """Return the source at an address: a folder, a zip or tar archive, an image file, or one of fsspec (`scheme://…`).
 
-    An address is the `name_text` of a path.
+    An address is the `name_text` of a path; "exif:" before it turns pictures as their EXIF orientation states.
 
     Raises
     ------
     InputError : it is missing, or the extra that it needs is not installed.
     """
+    if address.startswith(UPRIGHT_ADDRESS):
+        return UprightSource(open_source(stored_address(address)))
     if "://" in address:
         return Remote(address)
     path = Path(name_path(address))
@@ -75,6 +77,41 @@ class Folder:
     def _find_root(self) -> Path:
         root = Path(name_path(self.address))
         return root.parent if root.is_file() else root
+
+
+def open_folder(path: Path, *, follow_exif: bool = False) -> ImageSource:
+    """Return the source of the files below a folder, which need not be there, with pictures as stored or upright."""
+    folder = Folder(name_text(path))
+    return UprightSource(folder) if follow_exif else folder
+
+
+def upright_addresses(addresses: tuple[str, ...]) -> tuple[str, ...]:
+    """Return addresses of sources whose pictures are turned as their EXIF orientation states."""
+    return tuple(UPRIGHT_ADDRESS + stored_address(one) for one in addresses)
+
+
+@dataclass(frozen=True, slots=True)
+class UprightSource:
+    """Another source, whose pictures are turned as their EXIF orientation states; see `ImageSource`."""
+
+    source: ImageSource
+
+    @property
+    def address(self) -> str:
+        """Address that `open_source` opens it by."""
+        return UPRIGHT_ADDRESS + self.source.address
+
+    def files(self) -> Iterator[SourceFile]:
+        """Yield all files, in the order of their names."""
+        return self.source.files()
+
+    def read(self, name: str) -> bytes:
+        """Return a file's content, as it is stored."""
+        return self.source.read(name)
+
+    def path(self, name: str) -> Path | None:
+        """Return where a file is on this disk; None where it is elsewhere."""
+        return self.source.path(name)
 
 
 _HASH_BYTES = 16

@@ -6,12 +6,14 @@ import os
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from datetime import UTC, datetime, timedelta
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from PIL import Image
 from tests.offline.live.followed import Followed, serve_calibration_of
 from tests.offline.live.sky_pictures import Lens, jpeg, picture, sun_at
 from tests.offline.live.test_snapshots import bomb
@@ -74,6 +76,22 @@ def test_images_are_taken_as_they_come_and_once(followed: Followed, tmp_path: Pa
     assert [point.time for point in again.points()] == times
     assert again.service.archive.seen_files.newest("roof", limit=9) == before
     again.close()
+
+
+def test_pictures_are_turned_upright_where_that_is_set(tmp_path: Path) -> None:
+    followed = Followed(tmp_path, MORNING, follow_exif=True)
+    followed.turn()
+    time = followed.clock.now().replace(microsecond=0)
+    stored = BytesIO()
+    exif = Image.Exif()
+    exif[0x0112] = 3
+    Image.open(BytesIO(shot(time))).rotate(180).save(stored, format="JPEG", quality=95, exif=exif)
+    followed.write(allsky(time), stored.getvalue())
+    followed.turn()
+    (point,) = followed.points()
+    assert point.verdict == "clear"
+    assert (point.x_px, point.y_px) == pytest.approx(LENS.pixel(*sun_at(time)), abs=0.5)
+    followed.close()
 
 
 def test_what_came_and_is_not_stored_waits(followed: Followed, monkeypatch: pytest.MonkeyPatch) -> None:

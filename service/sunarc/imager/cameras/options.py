@@ -109,6 +109,7 @@ class FolderOptions:
         follow summer time; unset: such images are left out.
     time_pattern : pattern of the names without suffix, where no known one fits, as "%d-%m-%Y_%H-%M-%S"; with the last
         folders as "%Y/%m/%d/%H%M%S".
+    follow_exif : turn pictures as their EXIF orientation states; they are read as they are stored otherwise.
     method : how the sun is found: "paper" in ordinary images, "disc" in raw microsecond exposures, "auto" by the image.
     clock_error_s : bound of the error of the images' times, which the uncertainty of calibrations then holds; unset:
         not stated, the names' whole seconds are assumed to be right.
@@ -122,6 +123,7 @@ class FolderOptions:
     files: str = "*"
     utc_offset: str | None = None
     time_pattern: str | None = None
+    follow_exif: bool = False
     method: Literal["auto", "disc", "paper"] = "auto"
     clock_error_s: Annotated[float, Ge(0.0), Le(3600.0)] | None = None
     cadence_s: Annotated[float, Ge(1.0), Le(3600.0)] | None = None

@@ -41,7 +41,7 @@ from sunarc.sources.expected_sun import MOST_EXPOSURES
 from sunarc.sources.image_times import TimedFrame, name_sidecar, timed_frames
 from sunarc.sources.index import at_night
 from sunarc.sources.name_times import time_in_name
-from sunarc.sources.sources import Folder, content_hash
+from sunarc.sources.sources import content_hash, open_folder
 
 _log = logging.getLogger(__name__)
 
@@ -122,7 +122,7 @@ class FolderWorker:
         """Begin with no file listed."""
         self._rules = time_rules(self.options)
         self._root = self.options.path
-        self._source = Folder(name_text(self._root))
+        self._source = open_folder(self._root, follow_exif=self.options.follow_exif)
         self._listing = folder_files.FolderListing(self._root, self.options.files)
         self._settling = folder_files.Settling(self._root, self.options.settle_s)
         self._left_out = LeftOut(self.board)
@@ -454,7 +454,7 @@ class FolderWorker:
                 self._leave_out(one.file, Finding("file_time_repeated", {"n": len(every), "most": MOST_EXPOSURES}), one)
             return
         self._stack_size = len(every) if live else self._stack_size
-        found = dict(zip([one.file for one in every], self.images.take(name_text(self._root), every), strict=True))
+        found = dict(zip([one.file for one in every], self.images.take(self._source.address, every), strict=True))
         for one in new:
             finding = found[one.file.name]
             if finding is not None and finding.code == _TRUNCATED and self._may_grow(one.file):
