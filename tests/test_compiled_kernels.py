@@ -33,6 +33,9 @@ EPOCH = np.repeat([0, 1], N // 2)
 SHEETS = np.ones((12, 15, 3))
 _FIT = OPTICS | {"directions": SKY, "pixels": PIXELS}
 
+_STAMPS = np.random.default_rng(3).uniform(0.1, 2.0, (N, 9, 4))
+"""x, y, value and weight of the pixels about each star."""
+
 CALLS: dict[str, dict[str, Any]] = {
     "rotation_and_jacobian": {"vector": np.array([0.1, 0.2, 0.3])},
     "pixels_of": OPTICS | {"vector": CAMERA.to_vector(), "rotation": ROTATION, "directions": SKY},
@@ -226,6 +229,19 @@ CALLS |= {
         "sensor": np.array([100.0, 23_000.0, 144.0, 0.2, 32.0, 4095.0], np.float32),
     },
     "image_of_points": {"rows": 7, "columns": 9, "points": np.array([[3.1, 2.9, 5.0, 0.8], [8.0, 0.0, 1.0, 1.4]])},
+    "point_spread_equations": {
+        **{name: _STAMPS[..., column].copy() for column, name in enumerate(("x", "y", "value", "weight"))},
+        "at": np.tile([0.1, -0.2, 3.0, 0.5, 0.7, 0.1, 0.6], (N, 1)),
+        "free": 7,
+    },
+    "votes_of_pairs": {
+        "keys": np.array([3, 8, 11, 19]),
+        "first": np.array([0, 1]),
+        "last": np.array([3, 4]),
+        "place": np.array([2, 5]),
+        "tilts": 2,
+        "bins": 6,
+    },
 }
 # kernels whose results for no pixels, directions or sightings are empty
 _WHOLE = {"rotation_and_jacobian", "most_probable", "paper_fit", "render_disc", "merge_exposures"}
@@ -239,6 +255,7 @@ _WHOLE |= {
     "night_glow",
     "count_light",
     "image_of_points",
+    "votes_of_pairs",
 }
 PER_PLACE = [name for name in CALLS if name not in _WHOLE]
 Spoiled = Callable[[np.ndarray], np.ndarray | None]
@@ -335,6 +352,7 @@ _BY_PLACE = [
     "count_light",
     "evidence_terms",
     "moments_of",
+    "votes_of_pairs",
 ]
 
 
@@ -495,3 +513,48 @@ def test_the_smallest_values_of_a_mixture_have_their_part_of_its_mean() -> None:
     three, covariance = moments[:, :, [0, 0, 1], [0, 1, 1]].swapaxes(1, 2).copy(), np.array([1.3, 0.3, 1.3])
     found = _kernels.moments_below(three, share, np.tile(covariance[:, None], 6), cosines, shares, 1e-6)
     np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("free", [0, 4, 7])
+def test_the_equations_of_a_point_spread_are_those_of_its_differences(free: int) -> None:
+    given = CALLS["point_spread_equations"]
+
+    def model(at: np.ndarray) -> np.ndarray:
+        x, y, height, level, xx, xy, yy = (column[:, None] for column in at.T)
+        dx, dy = given["x"] - x, given["y"] - y
+        return np.asarray(height * np.exp(-0.5 * (xx * dx**2 + 2.0 * xy * dx * dy + yy * dy**2)) + level)
+
+    chi2, normal, gradient = call("point_spread_equations", free=free)
+    steps = 1e-6 * np.eye(7)[:free]
+    slopes = (
+        np.stack([(model(given["at"] + one) - model(given["at"] - one)) / 2e-6 for one in steps], axis=1)
+        if free
+        else np.zeros((N, 0, 9))
+    )
+    residual = given["value"] - model(given["at"])
+    weighted = slopes * given["weight"][:, None]
+    np.testing.assert_allclose(chi2, np.sum(residual**2 * given["weight"], axis=-1), rtol=1e-12)
+    np.testing.assert_allclose(normal, weighted @ np.swapaxes(slopes, 1, 2), rtol=1e-6, atol=1e-8)
+    np.testing.assert_allclose(gradient, (weighted @ residual[..., None])[..., 0], rtol=1e-6, atol=1e-8)
+
+
+def test_votes_of_pairs_are_counted_one_by_one_with_their_neighbours() -> None:
+    rng = np.random.default_rng(8)
+    tilts, bins, n = 5, 12, 40
+    keys = rng.integers(0, tilts, 300) * 2 * bins + bins - rng.integers(0, bins, 300)
+    first = rng.integers(0, 300, n)
+    last = np.minimum(first + rng.integers(0, 60, n), 300)
+    place = rng.integers(0, bins, n)
+    votes = np.zeros((tilts, bins), dtype=np.int64)
+    for begin, end, moved in zip(first, last, place, strict=True):
+        for key in keys[begin:end]:
+            tilt, at = divmod(int(key), 2 * bins)
+            for side in (-1, 0, 1):
+                votes[tilt, (at + moved + side) % bins] += 1
+    found = _kernels.votes_of_pairs(keys, first, last, place, tilts, bins)
+    np.testing.assert_array_equal(found, votes)
+
+
+def test_points_of_another_number_of_unknowns_are_refused() -> None:
+    with pytest.raises(ValueError, match=r".+"):
+        call("point_spread_equations", free=5)

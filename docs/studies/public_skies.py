@@ -3,10 +3,11 @@
     OMP_NUM_THREADS=1 python docs/studies/public_skies.py FOLDER [--into OVERLAYS]
 
 FOLDER holds clones of repositories by their names: vlad0x00/allsky-cloudiness-estimator,
-ucalgary-srs/trex-imager-readfile, aaronwmorris/indi-allsky, LEX2016WoKaGru/pyclamster. Missing pictures are left
-out. Pictures of the night are given without a calibration; right are cameras with the tilt of others' fits, and suns
-near the places in the files' names, which others labelled by hand. Overlays show the named stars and a sun of each
-folder.
+ucalgary-srs/trex-imager-readfile, aaronwmorris/indi-allsky, LEX2016WoKaGru/pyclamster, UNISvalbard/KHO-starcalibration,
+tudo-astroparticlephysics/all_sky_cloud_detection. Missing pictures are left out. Pictures of the night are given
+without a calibration; right are cameras with the tilt of others' fits or with stars where others marked them by hand,
+and suns near the places in the files' names, which others labelled by hand. Overlays show the named stars and a sun of
+each folder.
 """
 
 from __future__ import annotations
@@ -25,8 +26,11 @@ from numpy.typing import NDArray
 from sunarc.common.errors import InputError, OutsideError
 from sunarc.common.findings import FindingError
 from sunarc.detection.values import Detection
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import project
 from sunarc.optics.pose import pose_angles
 from sunarc.public.star_files import StarImage, StarOptions, find_stars_blind
+from sunarc.sky.directions import direction_from_angles
 from sunarc.sky.site import Site
 from sunarc.sources.detect_files import detect_in_image
 from sunarc.sources.files import read_image
@@ -38,10 +42,18 @@ _PETNICA, _TREX = (
     "trex-imager-readfile/python/tests/test_suite/data",
 )
 _LEX = "pyclamster/examples/images"
+KHO = Site(latitude=78.148, longitude=16.043, altitude=520.0)
+LA_PALMA = Site(latitude=28.7616, longitude=-17.8906, altitude=2200.0)
+SOUTH_POLE = Site(latitude=-89.99, longitude=-63.45, altitude=2835.0)
+_KHO, _CLOUDS = "KHO-starcalibration/Test_images", "all_sky_cloud_detection/tests/resources"
+_MARKS = "KHO-starcalibration/Matlab/test_sonyA7Scalibration.m"
 
 
 class Night(NamedTuple):
-    """A picture of the night: its file, site, time in its name, size by which it is reduced, true tilt in degrees."""
+    """A picture of the night: its file, site, time in its name, size by which it is reduced, true tilt in degrees.
+
+    marks: a Matlab script with azimuths and altitudes of stars, and where they are in the picture.
+    """
 
     name: str
     file: str
@@ -50,6 +62,7 @@ class Night(NamedTuple):
     reduced: int = 1
     tilt_deg: float | None = None
     to_middle_s: float = 0.0
+    marks: str | None = None
 
 
 NIGHTS = (
@@ -72,6 +85,20 @@ NIGHTS = (
     ),
     Night("TREx blue line", f"{_TREX}/blueline/20220308_0605_gill_blue-814_full.pgm", GILL, "20220308T060500Z"),
     Night("TREx near infrared", f"{_TREX}/nir/20220307_0605_gill_nir-216_8446.pgm", GILL, "20220307T060500Z"),
+    *(
+        Night(f"KHO Sony, 1/{by}", f"{_KHO}/LYR-Sony-111220_200933.jpg", KHO, "20201211T200933Z", by, marks=_MARKS)
+        for by in (1, 2, 4, 6)
+    ),
+    Night("KHO Sony, 2021", f"{_KHO}/LYR-Sony-211121_170751.jpg", KHO, "20211121T170751Z"),
+    Night("KHO Keo, 2020", f"{_KHO}/W8446B18_2020-12-11_20-09-36.img", KHO, "20201211T200936Z"),
+    *(
+        Night(f"MAGIC, {name}", f"{_CLOUDS}/magic_images/{name}.fits", LA_PALMA, f"magic{name}")
+        for name in ("20180816_2101", "20180817_0055", "20180817_0341")
+    ),
+    *(
+        Night(f"IceAct, {name}", f"{_CLOUDS}/iceact_images/{name}.fits", SOUTH_POLE, f"iceact-{name}")
+        for name in ("starry", "cloudy")
+    ),
 )  # fmt: skip
 SUNS = {
     "Wolf, labelled": f"{_LEX}/wolf/calibration",
@@ -94,7 +121,7 @@ def night_row(night: Night, folder: Path, work: Path) -> tuple[str, StarImage | 
     """Return the row of a picture of the night, and its stars."""
     source = folder / night.file
     path = work / f"{night.stem}{source.suffix.lower()}"
-    image = cv2.imread(str(source), cv2.IMREAD_UNCHANGED) if night.reduced > 1 else None
+    image = cv2.imread(str(source), cv2.IMREAD_UNCHANGED) if night.reduced > 1 else _raw(source)
     if image is None:
         path.write_bytes(source.read_bytes())
     else:
@@ -108,12 +135,40 @@ def night_row(night: Night, folder: Path, work: Path) -> tuple[str, StarImage | 
     if result.accepted and result.calibration is not None and night.tilt_deg is not None:
         tilt = pose_angles(result.calibration.camera.rotation_cam_enu).theta_zz_deg
         right = "yes" if abs(tilt - night.tilt_deg) < _RIGHT_TILT_DEG else f"no: tilt {tilt:.1f}"
+    if result.accepted and result.calibration is not None and night.marks is not None:
+        apart = _from_marks(folder / night.marks, result.calibration.camera, night.reduced)
+        right = f"{'yes' if apart < _RIGHT_SIGMAS * _LABEL_PX else 'no'}: {apart:.1f} px"
     detected = 0 if one.stars is None else len(one.stars)
     verdict = result.start.findings if result.calibration is None else result.calibration.verdict.findings
     why = "yes" if result.accepted else verdict[0].code
     counts = f"{int(one.stars is not None):4d} of 1  {detected:5d} {one.rows().size:5d}"
     row = f"{night.name:32s} {counts}  {why:28s} {right}"
     return row, one if result.accepted else None
+
+
+def _raw(source: Path) -> NDArray[np.uint16] | None:
+    """Return the picture of a Keo camera's file: a header of 60 bytes, two lengths, the size of a number; else None."""
+    if source.suffix != ".img":
+        return None
+    content = source.read_bytes()
+    columns, rows = np.frombuffer(content, "<u2", count=2, offset=60).tolist()
+    return np.frombuffer(content, "<u2", count=rows * columns, offset=66).reshape(rows, columns).copy()
+
+
+def _from_marks(script: Path, camera: Camera, reduced: int) -> float:
+    """Return the median distance of a camera's stars from where others marked them, px of the whole picture."""
+    text = script.read_text()
+
+    def column(name: str) -> NDArray[np.float64]:
+        found = re.search(rf"{name}=\[(.*?)\]", text, re.DOTALL)
+        cells = re.sub(r"\.\.\.[^\n]*\n", ",", "" if found is None else found[1]).split(",")
+        parts = [re.findall(r"([\d.]+)(?:/(\d+))?", cell) for cell in cells if cell.strip()]
+        return np.array([sum(float(number) / float(of or 1) for number, of in one) for one in parts])
+
+    directions = direction_from_angles(zenith_deg=90.0 - column("starAlt"), azimuth_deg=column("starAz"))
+    there = reduced * (project(camera, directions) + 0.5) - 0.5
+    marked = np.stack([column("starCol"), column("starRow")], axis=-1) - 1.0
+    return float(np.nanmedian(np.hypot(*(there - marked).T)))
 
 
 def sun_row(name: str, folder: Path, into: Path | None) -> str:

@@ -70,5 +70,6 @@ struct Out {
 using Result = nb::ndarray<nb::numpy, double>;
 
 void add_image(nb::module_& module);
+void add_stars(nb::module_& module);
 
 }  // namespace sunarc

@@ -9,5 +9,6 @@ NB_MODULE(_kernels, module) {
     sunarc::add_lens(module);
     sunarc::add_paper(module);
     sunarc::add_posterior(module);
+    sunarc::add_stars(module);
     sunarc::add_tables(module);
 }

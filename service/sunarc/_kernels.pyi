@@ -481,3 +481,24 @@ def count_light(
 
 def image_of_points(rows: int, columns: int, points: FloatArray) -> Float32Array:
     """Return Gaussian images, integrated over each pixel, of points (n, 4): column, row, light in all, sigma, px."""
+
+def point_spread_equations(
+    x: FloatArray, y: FloatArray, value: FloatArray, weight: FloatArray, at: FloatArray, free: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return chi² (n,), normal matrices (n, k, k) and gradients (n, k) of Gaussians and constants on pixels (n, m).
+
+    Parameters
+    ----------
+    x, y : of the pixels, px. value : counts. weight : 1 over the variance.
+    at : (n, 7) x, y, height, level, and xx, xy, yy of the inverse covariance.
+    free : k, how many of these are unknown: 0, 4 or 7.
+    """
+
+def votes_of_pairs(keys: IntArray, first: IntArray, last: IntArray, place: IntArray, tilts: int, bins: int) -> IntArray:
+    """Return the votes (tilts, bins) of pairs of stars and detections, of three neighbouring bins together.
+
+    Parameters
+    ----------
+    keys : 2 * bins * tilt + bin of the vote of a star for a detection in bin 0.
+    first, last, place : (n,) of each detection: the keys that it takes, and its bin, which moves them.
+    """

@@ -40,6 +40,19 @@ def test_the_sun_is_found_in_a_microsecond_frame_of_which_nothing_is_known(
     assert found["accepted"] is True
 
 
+def test_what_a_program_made_of_images_is_left_out_unless_it_is_all(sunarc: Sunarc, tmp_path: Path) -> None:
+    black = np.zeros((60, 80), dtype=np.uint8)
+    made = [tmp_path / "keogram-20240611.jpg", tmp_path / "thumbnails" / "image-20240611044800.jpg"]
+    for path in (*made, tmp_path / "image-20240611044800.jpg"):
+        path.parent.mkdir(exist_ok=True)
+        cv2.imwrite(str(path), black)
+    every = map(str, sorted(tmp_path.rglob("*.jpg")))
+    (found,) = json.loads(sunarc("detect", *every, "--json").out)
+    assert found["file"] == str(tmp_path / "image-20240611044800.jpg")
+    alone = json.loads(sunarc("detect", *map(str, made), "--json").out)
+    assert [one["file"] for one in alone] == [str(path) for path in made]
+
+
 def test_an_image_without_the_sun_exits_1_and_says_why(sunarc: Sunarc, tmp_path: Path) -> None:
     path = tmp_path / "night.png"
     cv2.imwrite(str(path), np.zeros((200, 300), dtype=np.uint8))

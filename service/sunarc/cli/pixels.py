@@ -27,6 +27,7 @@ from sunarc.common.messages import counted
 from sunarc.detection.values import BAYERS
 from sunarc.public.calibration_files import project_csv, unproject_csv
 from sunarc.sources.detect_files import METHODS, detect_in_files, draw_overlay
+from sunarc.sources.file_kinds import without_derived
 
 
 def detect(
@@ -45,6 +46,7 @@ def detect(
 
     Example: sunarc detect noon.png --json
     """
+    images = without_derived(images)
     if overlay is not None and len(images) != 1:
         raise InputError(field="--overlay", problem=f"{len(images)} images", remedy="give one image with it")
     mosaic = None if bayer is None else parse_choice("--bayer", bayer, BAYERS)

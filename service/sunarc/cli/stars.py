@@ -33,6 +33,7 @@ from sunarc.public.calibrate_files import parse_image_circle
 from sunarc.public.calibration_files import read_calibration
 from sunarc.public.star_files import StarImage, StarOptions, find_stars, find_stars_blind, write_star_sightings
 from sunarc.sky.site import Site
+from sunarc.sources.file_kinds import without_derived
 from sunarc.sources.files import read_lines
 from sunarc.sources.image_times import TimeRules, parse_utc_offset
 from sunarc.stars.blind_start import BlindOptions
@@ -102,7 +103,7 @@ def stars(
 
     Example: sunarc stars night/*.jpg --blind --latitude 36.6 --longitude -97.5 --write-calibration camera.json
     """
-    electrons = 1.0 if gain is None else gain
+    images, electrons = without_derived(images), 1.0 if gain is None else gain
     for name, value, least in (
         ("--within", within, 0.0),
         ("--most", float(most), 1.0),

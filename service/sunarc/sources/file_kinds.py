@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from pathlib import PurePosixPath
+from collections.abc import Sequence
+from pathlib import Path, PurePosixPath
 from typing import Literal, NamedTuple
 
 from sunarc.common.findings import Finding
@@ -138,3 +139,9 @@ def is_derived(name: str) -> bool:
     if last.startswith(".") or any(part.startswith(".") or part.lower() in DERIVED_FOLDERS for part in folders):
         return True
     return _DERIVED_NAME.match(last) is not None
+
+
+def without_derived(paths: Sequence[Path]) -> list[Path]:
+    """Return files without those that programs made of images, by folder and name; all where there is no other."""
+    kept = [one for one in paths if not is_derived(f"{one.absolute().parent.name.lstrip('.')}/{one.name}")]
+    return kept or list(paths)

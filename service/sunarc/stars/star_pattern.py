@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
+from sunarc import _kernels
 from sunarc.common.array_types import FloatArray, IntArray
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project_fast
@@ -140,15 +141,10 @@ def _search_lens(away: FloatArray, turned: _TiltedStars, focal: float, shape: fl
     """Yield the best hypotheses of one lens, of either handedness."""
     angle = radius_to_angle(np.hypot(*away.T) / focal, shape)
     used = np.flatnonzero(angle < MAX_ANGLE)[:_DETECTIONS]
-    first, last = (np.searchsorted(turned.off_axis, angle[used] + side).tolist() for side in (-_REACH, _REACH))
-    pairs = [turned.key[begin:end] for begin, end in zip(first, last, strict=True)]
-    if not pairs:
-        return
-    keys, count = np.concatenate(pairs), [key.size for key in pairs]
+    first, last = (np.searchsorted(turned.off_axis, angle[used] + side) for side in (-_REACH, _REACH))
     for mirrored, x in ((False, away[used, 0]), (True, -away[used, 0])):
-        place = np.repeat(_bin_index(np.arctan2(away[used, 1], x)), count)
-        votes = np.bincount(keys + place, minlength=turned.tilts.shape[0] * 2 * _BINS).reshape(-1, 2, _BINS).sum(axis=1)
-        window = sum((np.roll(votes, side, axis=-1) for side in (-1, 1)), votes)
+        place = _bin_index(np.arctan2(away[used, 1], x))
+        window = _kernels.votes_of_pairs(turned.key, first, last, place, turned.tilts.shape[0], _BINS)
         mean = np.maximum(window.mean(axis=-1), 1.0)
         tilts = np.argsort(-_improbability(window.max(axis=-1), mean), kind="stable")[:_KEPT_A_LENS]
         score = _improbability(window[tilts], mean[tilts, None])

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from sunarc import _kernels
 from sunarc.common.array_types import BoolArray, FloatArray, Image, IntArray
 from sunarc.common.robust_statistics import MAD_TO_SIGMA, biweights, mad_sigma
 from sunarc.detection.values import Bayer, Stars, require_photo
@@ -204,7 +205,7 @@ def fit_point_spreads(stamps: Stamps, start: FloatArray, *, gain_e: float | None
         tried = at.copy()
         tried[:, :free] += step
         with np.errstate(over="ignore", invalid="ignore"):  # a step may lead anywhere, and is then not taken
-            better = (_cost(part, tried, weight) < cost) & _is_shape(tried)
+            better = (_equations(part, tried, weight, 0)[0] < cost) & _is_shape(tried)
         now[moving[better]] = tried[better]
         damping[moving] *= np.where(better, 0.2, 8.0)
         moving = moving[np.abs(np.einsum("nk,nk->n", step, gradient)) > _CONVERGED]
@@ -245,14 +246,10 @@ def _weights(stamps: Stamps, at: FloatArray, gain_e: float | None) -> FloatArray
     """Return 1 over the variance of each pixel, (n, m), with the shot noise of the star where the gain is known."""
     if gain_e is None:
         return np.asarray(1.0 / stamps.variance)
-    light = _model(stamps, at, 0)[0] - at[:, 3:4]
+    x, y, height, _, xx, xy, yy = (column[:, None] for column in at.T)
+    dx, dy = stamps.x - x, stamps.y - y
+    light = height * np.exp(-0.5 * np.clip(xx * dx**2 + 2.0 * xy * dx * dy + yy * dy**2, 0.0, 60.0))
     return np.asarray(1.0 / (stamps.variance + np.maximum(light, 0.0) / gain_e))
-
-
-def _cost(stamps: Stamps, at: FloatArray, weight: FloatArray) -> FloatArray:
-    """Return chi² (n,)."""
-    residual = stamps.value - _model(stamps, at, 0)[0]
-    return np.asarray(np.sum(residual**2 * weight, axis=-1))
 
 
 def mean_width(shape: FloatArray) -> FloatArray:
@@ -266,25 +263,7 @@ def _equations(
     stamps: Stamps, at: FloatArray, weight: FloatArray, free: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return chi² (n,), the normal matrices (n, k, k) and gradients (n, k) of the first `free` parameters."""
-    model, slopes = _model(stamps, at, free)
-    residual = stamps.value - model
-    weighted = slopes * weight[:, None]
-    cost = np.sum(residual**2 * weight, axis=-1)
-    return cost, weighted @ np.swapaxes(slopes, 1, 2), (weighted @ residual[..., None])[..., 0]
-
-
-def _model(stamps: Stamps, at: FloatArray, free: int) -> tuple[FloatArray, FloatArray]:
-    """Return the model (n, m) and its derivatives (n, free, m)."""
-    x, y, height, level, xx, xy, yy = (column[:, None] for column in at.T)
-    dx, dy = stamps.x - x, stamps.y - y
-    bell = np.exp(-0.5 * np.clip(xx * dx**2 + 2.0 * xy * dx * dy + yy * dy**2, 0.0, 60.0))
-    light = height * bell
-    if free == 0:
-        return light + level, np.empty((0, 0, 0))
-    slopes = [light * (xx * dx + xy * dy), light * (xy * dx + yy * dy), bell, np.ones_like(bell)]
-    if free > _PLACE:
-        slopes += [-0.5 * light * dx**2, -light * dx * dy, -0.5 * light * dy**2]
-    return light + level, np.stack(slopes, axis=1)
+    return _kernels.point_spread_equations(stamps.x, stamps.y, stamps.value, weight, at, free)
 
 
 def _diagonal(matrices: FloatArray) -> FloatArray:
