@@ -91,7 +91,7 @@ def light_plane(image: Image, full_scale: int, bayer: Bayer | None) -> tuple[Pla
     parts = [colours[..., one] for one in range(colours.shape[2])] if colours.ndim == 3 else [colours]
     top = reduce(np.maximum, parts)
     clipped = cv2.dilate((top >= _CLIPPED * full_scale).astype(np.uint8), np.ones((3, 3), dtype=np.uint8)) > 0
-    light = sum((one.astype(np.float32) for one in parts[1:]), parts[0].astype(np.float32)) / np.float32(len(parts))
+    light = reduce(np.add, [one.astype(np.float32) for one in parts]) / np.float32(len(parts))
     return np.asarray(light), np.asarray(clipped)
 
 
