@@ -48,7 +48,6 @@ _HEAD_BYTES = 1 << 17
 _ONE_IMAGE = ("JPEG", "MPO")  # further images of an MPO are previews
 UPRIGHT = 1
 _TURNS: Mapping[int, Callable[[Image], Image]] = {
-    UPRIGHT: lambda image: image,
     2: lambda image: image[:, ::-1],
     3: lambda image: image[::-1, ::-1],
     4: lambda image: image[::-1],
@@ -232,7 +231,7 @@ def _read_picture(source: ImageSource, name: str, numbers: Sequence[int], size: 
         raise FindingError(name, Finding("file_preview"))
     turn = _orientation(io.BytesIO(content)) if follows_exif(source.address) else UPRIGHT
     stored = checked_image(content, name, size=_turned_size(size, turn))
-    yield numbers[0], np.ascontiguousarray(_TURNS[turn](stored))
+    yield numbers[0], stored if turn == UPRIGHT else _TURNS[turn](stored).copy()
 
 
 def _turned_size(size: tuple[int, int] | None, orientation: int) -> tuple[int, int] | None:
