@@ -6,10 +6,10 @@
 The sun, lens and weather are those of `independent_world` and of this file: no code is shared with the fit. The focal
 length follows the year by a share of itself either way; a third of the days from spring to autumn is clear, a sixth
 half clear, and no day of winter is. Every few clear days the sightings so far are selected, fitted and judged against
-the calibration in use, as the service does. On every fifth day that calibration is compared with the camera of that
-day, over the upper hemisphere inside the image: it is right where the root mean square of its error is within its
-stated 95 %. Printed for each mast: refits by their result, the share of right days of all and of those within a
-fortnight of the last refit, and the worst true over stated.
+the calibration in use, as the service does. On every fifth day that calibration, by the uncertainty that it has by
+then, is compared with the camera of that day, over the upper hemisphere inside the image: it is right where the root
+mean square of its error is within its stated 95 %. Printed for each mast: refits by their result, the share of right
+days of all and of those within a fortnight of the last refit, and the worst true over stated.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ import numpy as np
 from independent_world import FloatArray, Lens
 
 from sunarc.calibration.acceptance import unseen_points
+from sunarc.calibration.answers.ageing import age_step_days, aged
 from sunarc.calibration.answers.covariance import project_with_covariance
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions
@@ -42,13 +43,14 @@ _SKY = world.hemisphere(400)
 
 @dataclass(frozen=True, eq=False)
 class Mast:
-    """A mast: its place, lens, sightings by day, which days are clear, and the focal length's change of each day."""
+    """A mast: its place, lens, sightings by day, which days are clear, their noons and the focal length's changes."""
 
     place: world.Place
     lens: Lens
     times: list[FloatArray]
     pixels: list[FloatArray]
     clear: list[bool]
+    noon: FloatArray
     grown: FloatArray
 
     def camera(self, day: int) -> Lens:
@@ -67,7 +69,7 @@ def drawn_mast(rng: np.random.Generator, share: float, cadence_s: float) -> Mast
     kind = rng.choice(["clear", "half", "cloud"], _DAYS, p=[0.33, 0.17, 0.5])
     kind[winter] = "cloud"
     lag = np.cos(2.0 * math.pi * (day - 100.0 - rng.uniform(10.0, 40.0)) / _YEAR) * math.copysign(1.0, place.latitude)
-    mast = Mast(place, lens, [], [], [bool(one == "clear") for one in kind], share * lag)
+    mast = Mast(place, lens, [], [], [bool(one == "clear") for one in kind], noon, share * lag)
     for number, (at, weather) in enumerate(zip(noon.tolist(), kind.tolist(), strict=True)):
         times = at + np.arange(-30_000.0, 30_000.0, cadence_s)
         if weather == "half":
@@ -112,19 +114,20 @@ class Service:
         if verdict.accepted:
             self.served = replace(solved, verdict=verdict)
 
-    def compare(self, lens: Lens, age_days: int) -> None:
-        """Compare the calibration in use with the camera of a day, so many days after the last refit."""
+    def compare(self, lens: Lens, unix_s: float, *, is_fresh: bool) -> None:
+        """Compare the calibration in use with the camera of a time, soon after the last refit or not."""
         if self.served is None:
             return
         true = lens.project(_SKY)
         inside = np.all((true > 0.0) & (true < world.SIZE - 1.0), axis=-1)
-        predicted, covariance = project_with_covariance(self.served, _SKY[inside])
+        now = aged(self.served, age_step_days(self.served, unix_s))
+        predicted, covariance = project_with_covariance(now, _SKY[inside])
         off = predicted - true[inside]
         known = np.all(np.isfinite(predicted), axis=-1)
         off, covariance = off[known], covariance[known]
         square = np.sum(off * np.linalg.solve(covariance, off[..., None])[..., 0], axis=-1)
         stated = float(np.mean(np.trace(covariance, axis1=1, axis2=2)))
-        self.fresh.append(age_days <= 14)
+        self.fresh.append(is_fresh)
         self.ratios.append(math.sqrt(float(np.mean(np.sum(off**2, axis=-1))) / stated))
         self.shares.append(float(np.mean(square < -2.0 * math.log(0.05))))
 
@@ -143,7 +146,7 @@ def lived(mast: Mast, every: int) -> Service:
             last = day
         n_clear += is_clear
         if day % 5 == 0:
-            service.compare(mast.camera(day), day - last)
+            service.compare(mast.camera(day), float(mast.noon[day]), is_fresh=day - last <= 14)
     return service
 
 

@@ -10,10 +10,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sunarc.calibration.answers.ageing import focal_share, with_focal_change
 from sunarc.calibration.answers.covariance import (
     hemisphere,
     project_with_covariance,
-    replace_covariance,
     without_clock,
 )
 from sunarc.calibration.evidence import squared_sigmas
@@ -23,7 +23,6 @@ from sunarc.calibration.quality.widening import fit_direction_sigma_rms_deg
 from sunarc.common.array_types import FloatArray
 from sunarc.common.findings import Data
 from sunarc.common.robust_statistics import MAD_TO_SIGMA
-from sunarc.optics.camera import FOCAL_LENGTH, PARAMETER_NAMES
 from sunarc.optics.forward import project
 from sunarc.sky.days import date_to_day, solar_days
 
@@ -72,17 +71,15 @@ _NEW = 1e-3
 """Change of the camera or of its stated values, as a share of its stated error, below which a fit is not new."""
 
 
-def in_any_season(calibration: Calibration, share: float) -> Calibration:
-    """Return a calibration whose focal length may have changed since by a share of itself (1-sigma).
+def at_time_of(candidate: Calibration, current: Calibration) -> Calibration:
+    """Return the calibration in use with a focal length that may be another by the time of a candidate.
 
-    What it states of the sky stays that of its own time.
+    By the season that the candidate's sightings prove, or by its age. Its 1-sigma over the sky stays.
     """
-    names = calibration.parameter_names
-    change = np.zeros(len(names))
-    for name, focal in zip(PARAMETER_NAMES[FOCAL_LENGTH], calibration.camera.focal_length_px, strict=True):
-        if name in names:
-            change[names.index(name)] = share * focal
-    return replace_covariance(calibration, calibration.covariance + np.outer(change, change)) if share else calibration
+    days = [one.evidence.days for one in (candidate, current) if one.evidence.days]
+    ends = [date_to_day(date.fromisoformat(max(one))) for one in days]
+    by_age = focal_share(candidate.evidence, ends[0] - ends[-1]) if ends else 0.0
+    return with_focal_change(current, max(candidate.evidence.log_odds.get("season_share", 0.0), by_age))
 
 
 def unseen_points(points: Sightings, current: Calibration) -> Sightings:

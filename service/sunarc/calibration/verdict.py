@@ -337,8 +337,7 @@ def accept(
     if not candidate.verdict.accepted:
         return candidate.verdict
     if current is not None:
-        share = candidate.evidence.log_odds.get("season_share", 0.0)
-        current = acceptance.in_any_season(without_clock(current), share)
+        current = acceptance.at_time_of(candidate, without_clock(current))
     succession = Succession(candidate=candidate, current=current, same_pose=same_pose, unseen=unseen)
     against = list(fired(SUCCEEDS, succession))
     if against:

@@ -13,7 +13,8 @@ from rich.console import Console
 from sunarc.cli.options import AcceptRefused, AsJson, CalibrationFile, print_json, table
 from sunarc.cli.owner import act_as_folder_owner
 from sunarc.common.errors import InputError
-from sunarc.formats.calibration_document import from_document
+from sunarc.common.utc import parse_time
+from sunarc.formats.calibration_document import document_at, from_document
 from sunarc.formats.formats import FORMATS
 from sunarc.formats.remap import Grid
 from sunarc.public.calibration_files import (
@@ -48,6 +49,10 @@ def export_calibration(
         int, typer.Option(help="Draws of the calibration's errors to add (netcdf and npz): `direction_draw`.", min=0)
     ] = 0,
     seed: Annotated[int, typer.Option(help="Determines the draws, together with the calibration's id.", min=0)] = 0,
+    at: Annotated[
+        str | None,
+        typer.Option(metavar="TIME", help="State the uncertainty of this time, ISO 8601; else that of the fit."),
+    ] = None,
     accept_refused: AcceptRefused = False,
 ) -> None:
     """Write a calibration in another format; its approximation error goes to standard error.
@@ -55,25 +60,26 @@ def export_calibration(
     Example: sunarc export --calibration calibration.json --format opencv -o fisheye.yml
     """
     if target is None:
-        one = exported(_document(calibration, accept_refused=accept_refused), format_, draws=draws, seed=seed)
+        document = _document(calibration, at=at, accept_refused=accept_refused)
+        one = exported(document, format_, draws=draws, seed=seed)
         sys.stdout.buffer.write(one.content)
         print(f"{format_}: {one.error}", file=sys.stderr)
         return
     into_folder = is_set(format_, target)
-    documents = _documents(calibration, into_folder=into_folder, accept_refused=accept_refused)
+    documents = _documents(calibration, at=at, into_folder=into_folder, accept_refused=accept_refused)
     for one in write_exports(documents, format_, target, draws=draws, seed=seed):
         for name in () if into_folder else one.beside:
             print(f"{format_}: wrote {name} beside it", file=sys.stderr)
         print(f"{one.name if into_folder else format_}: {one.error}", file=sys.stderr)
 
 
-def _documents(path: Path, *, into_folder: bool, accept_refused: bool) -> list[dict[str, object]]:
+def _documents(path: Path, *, at: str | None, into_folder: bool, accept_refused: bool) -> list[dict[str, object]]:
     """Return the document of a file; where a set is written, those of all JSON files of a folder."""
     paths = sorted(path.glob("*.json")) if into_folder and path.is_dir() else [path]
-    return [_document(one, accept_refused=accept_refused) for one in paths]
+    return [_document(one, at=at, accept_refused=accept_refused) for one in paths]
 
 
-def _document(path: Path, *, accept_refused: bool) -> dict[str, object]:
+def _document(path: Path, *, at: str | None, accept_refused: bool) -> dict[str, object]:
     try:
         found = json.loads(read_file(path))
     except (ValueError, RecursionError):
@@ -81,7 +87,7 @@ def _document(path: Path, *, accept_refused: bool) -> dict[str, object]:
     if not isinstance(found, dict):
         raise InputError(field=str(path), problem="is not a JSON object", remedy="give a calibration document")
     require_answers(from_document(found), path.name, accept_refused=accept_refused)
-    return found
+    return found if at is None else document_at(found, parse_time(at, where="--at"))
 
 
 def compare(

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from sunarc.calibration.answers.ageing import age_step_days, aged
 from sunarc.calibration.model import result
 from sunarc.calibration.model.pose_change import PoseChange, pose_before, turn_between
 from sunarc.calibration.model.residual_field import Field
@@ -109,7 +110,7 @@ _CAMERA_KEYS = (
     *("id", "camera", "state", "created_at", "valid_from", "valid_until", "pose_epoch"),
     *("site", "image", "model", "backward_model", "pose"),
 )
-_SKY_KEYS = ("sky_rms_deg", "sky_rms_without_clock_deg", "sky_max_deg", "sigma_limit_deg")
+_SKY_KEYS = ("sky_rms_deg", "sky_rms_without_clock_deg", "sky_max_deg", "sigma_limit_deg", "aged_days")
 _DISPLACEMENT_KEYS = ("center_px", "half_px", "orders", "mean")
 _ROUNDED_SHARES = 1e-3
 
@@ -161,7 +162,7 @@ def to_document(
             "max_error_px": _number(calibration.backward.max_error_px),
         },
         "pose": calibration.pose._asdict(),
-        "uncertainty": _uncertainty(calibration),
+        "uncertainty": uncertainty_document(calibration),
         "night": None if calibration.night is None else _plain(asdict(calibration.night)),
         "metrics": {f.name: _number(getattr(calibration.metrics, f.name)) for f in fields(result.Metrics)},
         "evidence": {f.name: _plain(getattr(calibration.evidence, f.name)) for f in fields(result.Provenance)}
@@ -174,6 +175,13 @@ def to_document(
         },
         "software": {"name": "sunarc", "version": software_version},
     }
+
+
+def document_at(document: Document, time: datetime) -> Document:
+    """Return a calibration document with the uncertainty that it has at a time, see `answers.ageing`."""
+    model = from_document(document)
+    now = aged(model, age_step_days(model, time.timestamp()))
+    return document if now is model else {**document, "uncertainty": uncertainty_document(now)}
 
 
 def camera_document(document: Mapping[str, Any]) -> Document:
@@ -200,7 +208,8 @@ def _moves(calibration: result.Calibration) -> list[Document]:
     return moves[::-1]
 
 
-def _uncertainty(calibration: result.Calibration) -> Document:
+def uncertainty_document(calibration: result.Calibration) -> Document:
+    """Return the part of a document that states the uncertainty."""
     return {
         "parameters": list(calibration.parameter_names),
         "covariance": calibration.covariance.tolist(),
@@ -210,6 +219,7 @@ def _uncertainty(calibration: result.Calibration) -> Document:
         "sky_rms_without_clock_deg": _number(_without_clock_deg(calibration)),
         "sky_max_deg": _number(calibration.sky_max_deg),
         **({} if calibration.sigma_limit_deg is None else {"sigma_limit_deg": calibration.sigma_limit_deg}),
+        **({"aged_days": calibration.aged_days} if calibration.aged_days else {}),
     }
 
 
@@ -338,6 +348,7 @@ def from_document(document: object) -> result.Calibration:
         night=_read_night(read),
         sigma_limit_deg=_read_limit(read),
         sky_rms_without_clock_deg=_read_without_clock(read),
+        aged_days=read.count("uncertainty.aged_days"),
     )
 
 

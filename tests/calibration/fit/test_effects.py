@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from tests.calibration.conftest import SGP, SIZE, TRUTH, rms, times_of
 from tests.fixtures.calibration import observed, small_camera, small_problem, spread_directions
 
+from sunarc.calibration.answers.ageing import SEASONS, season_columns
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.fit.effects import (
@@ -20,10 +21,8 @@ from sunarc.calibration.fit.effects import (
     DECENTRED_PX,
     OFFSET_PX,
     POSE_DIFFERENCE_DEG,
-    SEASONS,
     SWAY_DEG,
     add_effects,
-    season_columns,
 )
 from sunarc.calibration.model.options import USUAL_OPTIONS
 from sunarc.calibration.model.result import Calibration, probability, proves

@@ -10,6 +10,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from sunarc.calibration.answers.ageing import SEASONS
 from sunarc.calibration.answers.covariance import pose_error, replace_covariance, sky_sigma_deg
 from sunarc.calibration.fit.cross_validation import Doubts, HeldOut, doubts, held_out, without_parts
 from sunarc.calibration.fit.effects import (
@@ -20,7 +21,6 @@ from sunarc.calibration.fit.effects import (
     PICTURE_PX,
     PICTURE_SCALE,
     POSE_DIFFERENCE_DEG,
-    SEASONS,
     SWAY_DEG,
     SWAYS,
     TURNING,

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sunarc.calibration.answers.ageing import SEASONS, season_columns
 from sunarc.calibration.evidence import RECORD, linear_evidence, products_by_part
 from sunarc.calibration.fit.marginal_likelihood import LOOSE_DECENTERING_PX, LOOSE_RADIAL_PX, prior_precision
 from sunarc.calibration.model.options import USUAL_OPTIONS
@@ -24,7 +25,6 @@ from sunarc.calibration.solve.priors import LENS, STRETCH, free_pixel_aspect
 from sunarc.calibration.solve.problem import Block, FitProblem, by_elevation
 from sunarc.common.array_types import BoolArray, FloatArray, IntArray, even_parts
 from sunarc.common.robust_statistics import CUT, counted_roots, robust_sigma
-from sunarc.common.utc import DAY_S
 from sunarc.optics.camera import Param
 from sunarc.optics.forward import by_direction, project_with_rows_fast
 from sunarc.optics.projections import ideal_radius
@@ -70,18 +70,8 @@ _MOST_ALIKE = 0.6
 SWAYS = "sways"
 SWAY_DEG = 0.05
 """1-sigma about each axis of how far the mount is turned on a day: masts bend by hundredths, and settle by tenths."""
-SEASONS = {"season": 3e-4, "season_of_plastic": 2.4e-3}
-"""1-sigma of how the focal length follows the year: of glass in aluminium by 1e-5 a kelvin, of plastic by 8e-5. By the
-smaller one alone the season of plastic is taken for a tilt: a summer's sun is higher than a winter's."""
-_YEAR_S = 365.2422 * DAY_S
-_WEEK = 0.02
-"""Of a year."""
-_HARMONICS = (1.0, 0.4)
-"""1-sigma of the waves once and twice a year, in that of the season."""
 _DAYS_OF_SEASON = 6
 """Days, as many as the waves of a season have unknowns and one more: fewer are met by any season."""
-_TRENDS = 3
-"""Half waves over the record, at most, by which years differ."""
 
 
 class _View(NamedTuple):
@@ -258,19 +248,6 @@ def worst_day_roots(distance: FloatArray, seen: Sightings) -> FloatArray:
     """
     sigma = max(robust_sigma(distance[seen.day == day], floor=_NEGLIGIBLE_PX) for day in np.unique(seen.day))
     return np.asarray(np.sqrt(seen.information) * (distance < CUT * sigma) / sigma)
-
-
-def season_columns(unix_s: FloatArray) -> FloatArray:
-    """Return (n, k): changes of the focal length since the last sighting, whose camera is sought; relative to a season.
-
-    0 in a record of a week or less, and of sightings without a time.
-    """
-    ago = np.nan_to_num((unix_s - np.nanmax(unix_s, initial=-math.inf)) / _YEAR_S)[:, None]
-    years = float(np.ptp(ago)) if len(ago) else 0.0
-    phase, size = 2.0 * math.pi * ago * np.arange(1, len(_HARMONICS) + 1), np.array(_HARMONICS)
-    half_waves = np.arange(1, _TRENDS + 1)
-    trend = min(years, 1.0) * (np.cos(math.pi * half_waves * ago / max(years, _WEEK)) - 1.0) / half_waves
-    return (years > _WEEK) * np.concatenate([size * np.sin(phase), size * (np.cos(phase) - 1.0), trend], axis=1)
 
 
 def _seem_to_sway(view: _View, in_run: BoolArray, turns: FloatArray) -> bool:

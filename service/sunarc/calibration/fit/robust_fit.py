@@ -16,11 +16,11 @@ from functools import cached_property
 
 import numpy as np
 
+from sunarc.calibration.answers.ageing import SEASONS
 from sunarc.calibration.fit.effects import (
     PICTURE,
     PIXELS,
     POSSIBLE,
-    SEASONS,
     SHOWN_BY_STARS,
     SWAYS,
     TURNING,

@@ -35,8 +35,8 @@ _CERTAINLY_NOT = 100.0
 
 _PROOF_OF = {"air": STRONG_EVIDENCE, "sways": 40.0}
 """Other air is usual. An error common to hours is another turn on every day: up to 32 where no mount sways."""
-_SUSPICION_OF = {"turning": 1.5}
-"""Masts that the sun warms on one side are usual; noise that is alike for hours reaches 1.3."""
+_SUSPICION_OF = {"turning": 1.5, "season": 1.5, "season_of_plastic": 1.5}
+"""Masts that the sun warms on one side are usual; noise that is alike for hours reaches 1.3. A lens has a season."""
 TURN_ASKED = -2.0
 """Log odds from which on a verdict says that the mount may turn within the day: seven to one against it."""
 
@@ -321,6 +321,8 @@ class Calibration:
         that was read).
     night : how the night differs from the day, of which the calibration is; None without sightings of a night.
     sigma_limit_deg : directions of a larger 1-sigma per axis are answered as beyond the camera's field; None: none are.
+    aged_days : the uncertainty is that so many days after the last sighting, see `ageing`; negative before it; 0: that
+        of the fit.
     """
 
     camera: Camera
@@ -342,6 +344,7 @@ class Calibration:
     night: NightDifference | None = None
     sigma_limit_deg: float | None = None
     sky_rms_without_clock_deg: float | None = None
+    aged_days: int = 0
 
 
 def residuals_by_pose(camera: Camera, poses: Sequence[tuple[float, float, float]], usable: Sightings) -> FloatArray:

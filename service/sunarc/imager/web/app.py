@@ -31,7 +31,15 @@ from sunarc.imager.runtime.status import StatusSnapshot
 from sunarc.imager.web import problems
 from sunarc.imager.web.arrays import MOST_BYTES_AHEAD
 from sunarc.imager.web.bulk import ComputeSlots
-from sunarc.imager.web.context import CAMERA_PREFIX, ApiContext, DaySites, PictureList, SingleFlightCache
+from sunarc.imager.web.context import (
+    CAMERA_PREFIX,
+    Ages,
+    ApiContext,
+    DaySites,
+    PictureList,
+    SingleFlightCache,
+    model_key,
+)
 from sunarc.imager.web.middleware import admission
 from sunarc.imager.web.middleware.boundary import Boundary
 from sunarc.imager.web.middleware.request_bodies import Occupancy
@@ -230,19 +238,18 @@ def create_app(
 
 def new_context(*, archive: Archive, **collaborators: Any) -> ApiContext:  # noqa: ANN401 - the fields of ApiContext
     """Return the collaborators of an application, with the caches that its routes share."""
+    ages = Ages(archive)
     return ApiContext(
         archive=archive,
         sites=DaySites(archive),
-        ready=SingleFlightCache(
-            lambda record: lookup(archive.calibrations.model(record.id)),
-            key=lambda record: record.id,  # a model never changes under one id
-        ),
+        ages=ages,
+        ready=SingleFlightCache(lambda record: lookup(ages.model(record)), key=model_key),
         ensembles=SingleFlightCache(
             lambda asked: draw_ensemble(
-                archive.calibrations.model(asked.calibration),
+                ages.model(asked.calibration),
                 draws=asked.draws,
                 seed=asked.seed,
-                calibration_id=asked.calibration,
+                calibration_id=asked.calibration.id,
             ),
             key=lambda asked: asked.key,
             most=_ENSEMBLES,

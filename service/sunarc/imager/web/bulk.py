@@ -25,7 +25,7 @@ from sunarc.common.array_types import FloatArray, IntArray
 from sunarc.common.errors import InputError, NotFoundError
 from sunarc.imager.archive.values import CalibrationRecord
 from sunarc.imager.web.arrays import NPY, Rows, bytes_ahead, read_rows, require_few, rows_response
-from sunarc.imager.web.context import ApiContext, Sampling
+from sunarc.imager.web.context import ApiContext, Sampling, model_key
 from sunarc.imager.web.middleware.shared_quota import client_network
 from sunarc.imager.web.problems import Fault, RefusedError, Responses, described_answer
 from sunarc.sky.days import solar_days
@@ -139,8 +139,8 @@ def answering_each(context: ApiContext, request: Request, asked: FloatArray) -> 
 def records_at(context: ApiContext, unix_s: FloatArray, requested_unix_s: FloatArray) -> list[CalibrationRecord]:
     """Return the records that answer at each of rising times.
 
-    A calibration answers for one interval of time (one that is made current again does so as a copy), so that what
-    answers at two times answers between them.
+    A calibration answers for one interval of time (one that is made current again does so as a copy), and has each age
+    in one: what answers at two times answers between them.
     """
     found: dict[int, CalibrationRecord] = {}
     distinct: dict[str, CalibrationRecord] = {}
@@ -152,8 +152,10 @@ def records_at(context: ApiContext, unix_s: FloatArray, requested_unix_s: FloatA
                 place = f"at[{int(np.flatnonzero(requested_unix_s == unix_s[k])[0])}]"
                 problem = f"no calibration answers for {moment(unix_s[k]).isoformat()}"
                 raise NotFoundError(field=place, problem=problem, remedy="see /v1/calibrations for what there is")
-            found[k] = distinct.setdefault(record.id, record)
-            require_few(len(distinct), most=_MOST_CALIBRATIONS, field="at", what="calibrations")
+            found[k] = distinct.setdefault(model_key(record), record)
+            require_few(len(distinct), most=2 * _MOST_CALIBRATIONS, field="at", what="ages of calibrations")
+            ids = {one.id for one in distinct.values()}
+            require_few(len(ids), most=_MOST_CALIBRATIONS, field="at", what="calibrations")
         return found[k]
 
     spans = [(0, len(unix_s) - 1)]
@@ -378,7 +380,7 @@ async def _rows(computation: Computation, slots: ComputeSlots, question: Questio
 
 def _ensemble(answering: Answering, question: Question) -> Ensemble:
     """Return the draws that are asked for."""
-    sampling = Sampling(calibration=answering.record.id, draws=question.draws, seed=question.seed)
+    sampling = Sampling(calibration=answering.record, draws=question.draws, seed=question.seed)
     return answering.context.ensembles.get(sampling)
 
 

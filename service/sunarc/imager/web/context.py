@@ -14,10 +14,12 @@ from typing import Any, Generic, TypeVar
 from starlette.convertors import Convertor, register_url_convertor
 from starlette.requests import Request
 
+from sunarc.calibration.answers.ageing import age_step_days, aged
 from sunarc.calibration.answers.direction_table import Lookup
 from sunarc.calibration.answers.error_model import Ensemble
 from sunarc.calibration.model.result import Calibration
 from sunarc.common.errors import InputError, NotFoundError
+from sunarc.formats.calibration_document import uncertainty_document
 from sunarc.imager.archive.archive import Archive
 from sunarc.imager.archive.images import ImageStore
 from sunarc.imager.archive.move_pictures import MovePictures
@@ -30,6 +32,8 @@ from sunarc.sky.days import solar_date
 from sunarc.sky.site import Site
 
 _CACHE_SIZE = 8
+_AGES = 32
+"""Documents of 100 kB that are kept, of as many ages or states of calibrations."""
 CALIBRATION, BEST = "calibration", "best"
 """Name of the query parameter that chooses a calibration, and its value for the least uncertain of the pose epoch."""
 CAMERA_PREFIX = "/v1{camera:of_camera}"
@@ -95,14 +99,61 @@ class SingleFlightCache(Generic[Input, Value]):
 class Sampling:
     """Which draws of a calibration are asked for: at least one; the seed decides them."""
 
-    calibration: str
+    calibration: CalibrationRecord
     draws: int
     seed: int
 
     @property
     def key(self) -> str:
         """Return the key of the ensemble."""
-        return f"{self.calibration}/{self.seed}/{self.draws}"
+        return f"{model_key(self.calibration)}/{self.seed}/{self.draws}"
+
+
+class Ages:
+    """Calibrations as they hold at a time: away from their sightings the uncertainty grows (`aged`).
+
+    Parameters
+    ----------
+    archive : where they are.
+    """
+
+    def __init__(self, archive: Archive) -> None:
+        self._archive = archive
+        self._grown = SingleFlightCache(self._grow, key=_record_key, most=_AGES)
+
+    def record(self, record: CalibrationRecord, time: datetime) -> CalibrationRecord:
+        """Return a stored record with the document that holds at a time; the same where it does not differ."""
+        try:
+            days = 0 if record.damaged else age_step_days(self._archive.calibrations.model(record.id), time.timestamp())
+        except InputError:  # another version wrote the document, and who needs its model is refused with the reason
+            days = 0
+        if days == 0:
+            return record
+        asked = replace(record, document={**record.document, "uncertainty": {"aged_days": days}})
+        return self._grown.get(asked)[0]
+
+    def model(self, record: CalibrationRecord) -> Calibration:
+        """Return the calibration of a record, as stored or as `record` returned it."""
+        return self._grown.get(record)[1] if aged_days(record) else self._archive.calibrations.model(record.id)
+
+    def _grow(self, asked: CalibrationRecord) -> tuple[CalibrationRecord, Calibration]:
+        model = aged(self._archive.calibrations.model(asked.id), aged_days(asked))
+        return replace(asked, document={**asked.document, "uncertainty": uncertainty_document(model)}), model
+
+
+def aged_days(record: CalibrationRecord) -> int:
+    """Return the age whose uncertainty a record's document states, days; 0 of one as it is stored."""
+    return int(record.document.get("uncertainty", {}).get("aged_days", 0))
+
+
+def model_key(record: CalibrationRecord) -> str:
+    """Return a text that identifies a record's model, which never changes under one id and age."""
+    return f"{record.id}/{aged_days(record)}"
+
+
+def _record_key(record: CalibrationRecord) -> str:
+    """Return a text that changes with the time that a record answers for, too."""
+    return f"{model_key(record)}/{record.state}/{record.pinned}/{record.valid_until}"
 
 
 class DaySites:
@@ -149,6 +200,7 @@ class ApiContext:
     options: ApiOptions
     token: bytes | None = field(repr=False)
     sites: DaySites
+    ages: Ages
     ready: SingleFlightCache[CalibrationRecord, Lookup]
     ensembles: SingleFlightCache[Sampling, Ensemble]
     stopping: Callable[[], bool] = lambda: False
@@ -230,17 +282,17 @@ class ApiContext:
     def calibration_or_none(self, at: datetime | None) -> tuple[CalibrationRecord, Calibration] | None:
         """Return the calibration that answers, in both its forms; None without one."""
         record = self.record_or_none(at)
-        return None if record is None else (record, self.archive.calibrations.model(record.id))
+        return None if record is None else (record, self.ages.model(record))
 
     def record_or_none(self, at: datetime | None) -> CalibrationRecord | None:
-        """Return the calibration that answers; None without one."""
+        """Return the calibration that answers, with the uncertainty that it has then; None without one."""
         if self.chosen is None:
             record = self.archive.calibrations.current(self.camera, at=at)
         else:
             record = self._best(at) if self.chosen == BEST else self._accepted(self.chosen)
         if record is not None and self.scope is not None:
             self.scope.setdefault(DECIDED_AT, record.decided_at)
-        return record
+        return None if record is None else self.ages.record(record, at or self.frame_clock())
 
     def _accepted(self, calibration_id: str) -> CalibrationRecord:
         """Return a calibration that may answer: none that its verdict refused."""

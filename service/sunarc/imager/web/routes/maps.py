@@ -29,7 +29,7 @@ from sunarc.formats.tables import MAP_FORMATS, MapFormat, map_table, table_bytes
 from sunarc.geolocation.locate import clouds
 from sunarc.imager.archive.values import CalibrationRecord
 from sunarc.imager.web.bulk import ComputeSlots
-from sunarc.imager.web.context import ApiContext
+from sunarc.imager.web.context import ApiContext, model_key
 from sunarc.imager.web.hidden_sky import hidden_by_obstructions, obstructions_key
 from sunarc.imager.web.parameters import BY_CALIBRATION, At, IfNoneMatch
 from sunarc.imager.web.problems import answers, described_answer
@@ -117,7 +117,7 @@ def _content(requested: _Map) -> ResponseBody:
 def _tag(requested: _Map) -> str:
     """Return a tag that changes with a map: its calibration, its masks, and its writer."""
     masks = obstructions_key(requested.context, requested.record)
-    parts = (masks, requested.record.id, sunarc.__version__, requested.format, requested.sun, requested.site)
+    parts = (masks, model_key(requested.record), sunarc.__version__, requested.format, requested.sun, requested.site)
     return make_etag(repr(parts).encode())
 
 
@@ -301,7 +301,7 @@ def remap_routes(context: ApiContext, files: AnswerFiles) -> APIRouter:
         """Return float32 tables that take an image to the grid: cv2.remap(image, map_x, map_y, cv2.INTER_LINEAR)."""
         asked = _AskedTables(grid=grid, size=size, height_m=height, half_width_m=half_width)
         selected, record = await run_in_threadpool(context.answering, request, at)
-        tagged = _make_tagged(request, if_none_match, asked.tag(record.id, format_))
+        tagged = _make_tagged(request, if_none_match, asked.tag(model_key(record), format_))
         content = partial(_tables, selected, record, asked, format_)
         stated = partial(_stated, selected, record, asked)
         return await files.answer(tagged, slots, partial(_make_body, content, stated, str(FORMATS[format_].media_type)))
@@ -326,7 +326,7 @@ def remap_routes(context: ApiContext, files: AnswerFiles) -> APIRouter:
         asked = _AskedTables(grid=grid, size=size, height_m=height, half_width_m=half_width)
         selected, record = await run_in_threadpool(context.answering, request, time)
         path = await run_in_threadpool(image_file, selected, time)
-        tagged = _make_tagged(request, if_none_match, asked.tag(record.id, path.stem))
+        tagged = _make_tagged(request, if_none_match, asked.tag(model_key(record), path.stem))
         content = partial(_picture, selected, record, asked, path)
         stated = partial(_stated, selected, record, asked)
         return await files.answer(tagged, slots, partial(_make_body, content, stated, "image/png"))

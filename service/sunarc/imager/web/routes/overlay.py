@@ -154,9 +154,7 @@ def overlay_routes(context: ApiContext) -> APIRouter:
         """Return the 1-sigma of directions over the image, on a coarse grid."""
         selected = context.of(request)
         record = selected.record(at)
-        return _send_answer(
-            _uncertainty(selected.archive.calibrations.model(record.id), cells, record.id), if_none_match
-        )
+        return _send_answer(_uncertainty(selected.ages.model(record), cells, record.id), if_none_match)
 
     _add_difference(routes, context)
     return routes
@@ -180,7 +178,7 @@ def _add_difference(routes: APIRouter, context: ApiContext) -> None:
         """Return the angle between the directions of two calibrations over the image, on a coarse grid."""
         selected = context.of(request)
         record, second = selected.record(at), selected.calibration(other, field_name="other")
-        both = selected.archive.calibrations.model(record.id), selected.archive.calibrations.model(second.id)
+        both = selected.ages.model(record), selected.ages.model(second)
         return _send_answer(_difference(*both, cells, (record.id, second.id)), if_none_match)
 
 
