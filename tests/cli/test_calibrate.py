@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import csv
 import json
 import math
 import re
@@ -341,3 +342,29 @@ def test_what_stars_alone_do_not_show_and_no_bound_are_refused_by_their_option(
     answer = sunarc("calibrate", str(stars), *AT_SGP, "--outwards-px", "0.01")
     assert (answer.code, "--outwards-px" in answer.err) == (2, True)
     assert sunarc("calibrate", str(points), *AT_SGP, "--clock-error", "-1").code == 2
+
+
+@pytest.mark.parametrize("air", ["15.0", ""])
+def test_air_may_be_constant_or_missing(sunarc: Sunarc, points: Path, air: str) -> None:
+    write_air(points, [air, air])
+    answer = sunarc("calibrate", str(points), *AT_SGP, "--json")
+    assert (answer.code, json.loads(answer.out)["verdict"]["accepted"]) == (0, True)
+
+
+@pytest.mark.parametrize("absurd", ["999", "-300", "warm"])
+def test_absurd_air_is_refused_with_its_line_and_column(sunarc: Sunarc, points: Path, absurd: str) -> None:
+    write_air(points, ["15.0", absurd])
+    answer = sunarc("calibrate", str(points), *AT_SGP)
+    assert answer.code == 2
+    assert "line 3, temperature_c" in answer.err
+
+
+def write_air(path: Path, degrees: list[str]) -> None:
+    """Write air temperatures by turns into a table of sightings."""
+    with path.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    names = ["time_utc", "x_px", "y_px", "temperature_c"]
+    with path.open("w", encoding="utf-8", newline="") as file:
+        table = csv.DictWriter(file, names, extrasaction="ignore")
+        table.writeheader()
+        table.writerows({**row, "temperature_c": degrees[k % len(degrees)]} for k, row in enumerate(rows))

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from functools import partial, reduce
+from functools import reduce
 from typing import Any, Literal, NamedTuple
 
 from sunarc.calibration import acceptance
@@ -143,6 +143,7 @@ NOTED = (
     FitCheck("not_mirrored", lambda judged: {} if judged.tried_mirrored is False else None),
     FitCheck("image_size_doubtful", of.off_center),
     FitCheck("pixels_not_square", of.aspect, Bound("log_odds", proof_threshold("pixels")), "say"),
+    FitCheck("pixels_may_not_be_square", of.possible_stretch, Bound("probability", 0.02), "widen"),
     FitCheck("clock_drifts", of.measure_clock_drift, Bound("log_odds", proof_threshold("daily_clock")), "say"),
     FitCheck("detections_biased", of.bias_outwards, Bound("log_odds", proof_threshold("outwards")), "say"),
     FitCheck("focal_length_changes", of.measure_focal_change),
@@ -245,11 +246,8 @@ def fit_verdict(
     judged = JudgedFit(calibration=calibration, usable=usable, options=options, tilt_known=tilt_known)
     against = findings(AGAINST, judged)
     against = (*others, *findings(ASKED, replace(judged, against=against)), *against)
-    if against:
-        within = partial(_within_image, camera=calibration.camera)
-        return Verdict(accepted=False, findings=tuple(map(within, against)))
-    found = (*findings(FOUND, judged), *usable.filtering.dropped, *findings(NOTED, judged))
-    return Verdict(accepted=True, findings=found)
+    found = against or (*findings(FOUND, judged), *usable.filtering.dropped, *findings(NOTED, judged))
+    return Verdict(accepted=not against, findings=tuple(_within_image(one, calibration.camera) for one in found))
 
 
 def add_stated_clock(
@@ -278,14 +276,15 @@ def add_stated_clock(
     return reduce(add_finding, said, unstated)
 
 
-_DISTANCES = frozenset({"rmse_px", "stated_px", "off_px", "scatter_px"})
-
-
-def _within_image(finding: Finding, *, camera: Camera) -> Finding:
-    """Return a finding whose distances are at most the image's diagonal: nothing in an image is farther off."""
+def _within_image(finding: Finding, camera: Camera) -> Finding:
+    """Return a finding whose lengths are at most the image's diagonal: nothing in an image is farther off."""
     most = math.hypot(camera.width, camera.height)
-    data = {name: min(float(value), most) if name in _DISTANCES else value for name, value in finding.data.items()}
-    return replace(finding, data=data)
+    beyond = {
+        name: math.copysign(most, value)
+        for name, value in finding.data.items()
+        if name.endswith("_px") and isinstance(value, int | float) and abs(value) > most
+    }
+    return replace(finding, data={**finding.data, **beyond}) if beyond else finding
 
 
 def is_undetermined(verdict: Verdict) -> bool:
@@ -341,8 +340,9 @@ def accept(
     succession = Succession(candidate=candidate, current=current, same_pose=same_pose, unseen=unseen)
     against = list(fired(SUCCEEDS, succession))
     if against:
-        kept = against[0][0].effect == "keep"
-        return Verdict(accepted=False, marginal=kept, findings=tuple(finding for _, finding in against))
+        kept, camera = against[0][0].effect == "keep", candidate.camera
+        said = tuple(_within_image(finding, camera) for _, finding in against)
+        return Verdict(accepted=False, marginal=kept, findings=said)
     if current is None:
         return Verdict(accepted=True, findings=(Finding("first_calibration"), *candidate.verdict.findings))
     compared = Finding("direction_sigma_compared", acceptance.stated_sigmas(candidate, current))

@@ -263,9 +263,10 @@ def test_proof_takes_log_odds(name: str, least: float) -> None:
     assert not proves(name, least - 0.1)
 
 
-@pytest.mark.parametrize(("odds", "expected"), [(-math.inf, 0.0), (0.0, 1 / 101), (math.log(100.0), 0.5), (900.0, 1.0)])
-def test_log_odds_are_of_one_camera_in_a_hundred(odds: float, expected: float) -> None:
-    assert probability(odds) == pytest.approx(expected, abs=1e-12)
+@pytest.mark.parametrize("against", [100.0, 5.0])
+def test_log_odds_and_those_before_the_sightings_make_the_probability(against: float) -> None:
+    for odds, expected in ((-math.inf, 0.0), (0.0, 1 / (1 + against)), (math.log(against), 0.5), (900.0, 1.0)):
+        assert probability(odds, odds_against=against) == pytest.approx(expected, abs=1e-12)
 
 
 # Whole fits of what is not as assumed.

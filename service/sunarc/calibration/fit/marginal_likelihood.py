@@ -521,6 +521,7 @@ class HyperparameterGrid:
     amplitudes (i,), lengths (j,) of the field; lens_scales (k, 2) of radial distortion and decentering; px.
     log_prior : (i, j, k) how plausible they are before the sightings.
     basis : the field's basis functions.
+    square_odds : odds, before the sightings, that pixels are square.
     """
 
     amplitudes: FloatArray
@@ -528,10 +529,11 @@ class HyperparameterGrid:
     lens_scales: FloatArray
     log_prior: FloatArray
     basis: WaveBasis
+    square_odds: float = 100.0
 
 
 def scale_grid(
-    *, width: int, height: int, floor_px: float, radial_px: float, decentering_px: float
+    *, width: int, height: int, floor_px: float, radial_px: float, decentering_px: float, square_odds: float = 100.0
 ) -> HyperparameterGrid:
     """Return the grid of scales for an image size.
 
@@ -540,6 +542,7 @@ def scale_grid(
     width, height : px.
     floor_px : the smallest field that is ever assumed.
     radial_px, decentering_px : the usual scales of the residual radial distortion and of the decentering.
+    square_odds : see `LensTolerances`.
     """
     lengths = np.array(_LENGTH_FRACTIONS) * min(width, height)
     amplitudes = np.geomspace(max(floor_px, 1e-4), _LARGEST_AMPLITUDE_PX, _AMPLITUDES)
@@ -558,6 +561,7 @@ def scale_grid(
         lens_scales=np.stack([radial_px * radial.ravel(), decentering_px * decentering.ravel()], axis=-1),
         log_prior=of_amplitude[:, None, None] + np.zeros((1, lengths.size, 1)) + of_lens.ravel(),
         basis=wave_basis(width=width, height=height, shortest_px=float(lengths[0]), longest_px=float(lengths[-1])),
+        square_odds=square_odds,
     )
 
 

@@ -157,7 +157,7 @@ class FitState:
             self.unknowns,
             grid=self.grid,
             mean=self.field_mean,
-            stretched=probability(self.block_odds.get(PIXELS, -math.inf)),
+            stretched=probability(self.block_odds.get(PIXELS, -math.inf), odds_against=self.grid.square_odds),
         )
 
     def camera(self) -> Camera:
@@ -414,6 +414,7 @@ def make_hyperparameter_grid(template: Camera, options: CalibrationOptions) -> H
         floor_px=options.field_floor_px,
         radial_px=options.tolerances.radial_px,
         decentering_px=options.tolerances.decentering_px,
+        square_odds=options.tolerances.square_odds,
     )
 
 

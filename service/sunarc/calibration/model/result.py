@@ -46,9 +46,9 @@ def suspects(error: str, log_odds: float) -> bool:
     return log_odds > _SUSPICION_OF.get(error, _SUSPICION)
 
 
-def probability(log_odds: float) -> float:
-    """Return the probability of an error from the log odds, where one camera of a hundred has it."""
-    return 1.0 / (1.0 + math.exp(min(_SUSPICION - log_odds, _CERTAINLY_NOT)))
+def probability(log_odds: float, *, odds_against: float) -> float:
+    """Return the probability of an error from the log odds, and from the odds against it before any sighting."""
+    return 1.0 / (1.0 + math.exp(min(math.log(odds_against) - log_odds, _CERTAINLY_NOT)))
 
 
 def proof_threshold(error: str) -> float:

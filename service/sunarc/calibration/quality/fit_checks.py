@@ -13,7 +13,7 @@ import numpy as np
 
 from sunarc.calibration.answers.covariance import sigma_deg
 from sunarc.calibration.model.options import USUAL_OPTIONS, CalibrationOptions
-from sunarc.calibration.model.result import Calibration, proves
+from sunarc.calibration.model.result import Calibration, probability, proves
 from sunarc.calibration.model.sightings import Kind, Sightings, grid_steps_px
 from sunarc.calibration.quality.day_arcs import Unexplained, arc_length_deg, unexplained_days
 from sunarc.calibration.quality.tilt import proposed_limit_deg, tilt_question
@@ -428,6 +428,13 @@ def aspect(judged: JudgedFit) -> Data:
     """Return the ratio of pixel width to height, with the log odds."""
     fx, fy = judged.calibration.camera.focal_length_px
     return {"log_odds": judged.log_odds("pixels"), "aspect": fx / fy}
+
+
+def possible_stretch(judged: JudgedFit) -> Data | None:
+    """Return how probable pixels are that are not square, where the sightings do not prove them."""
+    odds = judged.log_odds("pixels")
+    against = judged.options.tolerances.square_odds
+    return None if proves("pixels", odds) else {"probability": probability(odds, odds_against=against)}
 
 
 def measure_clock_drift(judged: JudgedFit) -> Data:
