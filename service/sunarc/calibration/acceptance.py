@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sunarc.calibration.answers.ageing import focal_share, with_focal_change
+from sunarc.calibration.answers.ageing import add_focal_change, focal_share
 from sunarc.calibration.answers.covariance import (
     hemisphere,
     project_with_covariance,
@@ -71,7 +71,7 @@ _NEW = 1e-3
 """Change of the camera or of its stated values, as a share of its stated error, below which a fit is not new."""
 
 
-def at_time_of(candidate: Calibration, current: Calibration) -> Calibration:
+def allow_for_age(candidate: Calibration, current: Calibration) -> Calibration:
     """Return the calibration in use with a focal length that may be another by the time of a candidate.
 
     By the season that the candidate's sightings prove, or by its age. Its 1-sigma over the sky stays.
@@ -79,7 +79,7 @@ def at_time_of(candidate: Calibration, current: Calibration) -> Calibration:
     days = [one.evidence.days for one in (candidate, current) if one.evidence.days]
     ends = [date_to_day(date.fromisoformat(max(one))) for one in days]
     by_age = focal_share(candidate.evidence, ends[0] - ends[-1]) if ends else 0.0
-    return with_focal_change(current, max(candidate.evidence.log_odds.get("season_share", 0.0), by_age))
+    return add_focal_change(current, max(candidate.evidence.log_odds.get("season_share", 0.0), by_age))
 
 
 def unseen_points(points: Sightings, current: Calibration) -> Sightings:

@@ -336,7 +336,7 @@ def accept(
     if not candidate.verdict.accepted:
         return candidate.verdict
     if current is not None:
-        current = acceptance.at_time_of(candidate, without_clock(current))
+        current = acceptance.allow_for_age(candidate, without_clock(current))
     succession = Succession(candidate=candidate, current=current, same_pose=same_pose, unseen=unseen)
     against = list(fired(SUCCEEDS, succession))
     if against:

@@ -74,7 +74,7 @@ def focal_share(evidence: Provenance, days: float) -> float:
     return share * float(np.linalg.norm(season_columns(np.array([0.0, abs(days) * DAY_S]))[0]))
 
 
-def with_focal_change(calibration: Calibration, share: float) -> Calibration:
+def add_focal_change(calibration: Calibration, share: float) -> Calibration:
     """Return a calibration whose focal length may be another by a share of itself (1-sigma).
 
     Its 1-sigma over the sky stays that of its own time.
@@ -95,7 +95,7 @@ def aged(calibration: Calibration, days: int) -> Calibration:
     share = 0.0 if calibration.aged_days else focal_share(calibration.evidence, days)
     if share == 0.0:
         return calibration
-    widened = with_focal_change(calibration, share)
+    widened = add_focal_change(calibration, share)
     before, without = calibration.sky_rms_deg, calibration.sky_rms_without_clock_deg
     rms, most = sky_sigma_deg(widened)
     if without is not None:
