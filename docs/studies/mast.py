@@ -62,7 +62,7 @@ class Mast:
 def drawn_mast(rng: np.random.Generator, share: float, cadence_s: float) -> Mast:
     """Draw two years from the first of April on."""
     place, lens = world.drawn_place(rng), world.drawn_lens(rng)
-    day = np.arange(_DAYS)
+    day = np.arange(_DAYS, dtype=np.float64)
     noon = 1_711_929_600.0 + 43_200.0 - 240.0 * place.longitude + 86_400.0 * day
     summer = np.cos(2.0 * math.pi * (day - 100.0) / _YEAR) * math.copysign(1.0, place.latitude)
     winter = summer < -0.5

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Any, cast
 
@@ -118,6 +118,7 @@ def test_the_work_of_one_request_is_bounded(made: Made, monkeypatch: pytest.Monk
 @dataclass(frozen=True)
 class _Record:
     id: str
+    document: dict[str, Any] = field(default_factory=dict)
 
 
 class _Steps:
