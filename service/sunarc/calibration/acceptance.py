@@ -142,7 +142,7 @@ def growth(succession: Succession) -> Data | None:
 
 
 def allowed_growth(succession: Succession) -> float:
-    """Return the factor by which the stated uncertainty may grow: 1.15; 4 for more days and as many sightings."""
+    """Return the factor 1.15; the factor 4 for a fit of more days and about as many sightings."""
     current = succession.current
     return _FOUND_OUT if current is not None and _knows_more(succession.candidate, current) else _WORSE
 
