@@ -8,14 +8,16 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
-from typing import Literal
+from typing import Any, Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Weather = Literal["clear", "scattered", "broken", "overcast", "fog", "haze"]
+Weather = Literal["clear", "scattered", "broken", "overcast", "fog", "haze", "thin", "bank"]
+DEPTH: dict[Weather, float] = {"overcast": 20.0, "fog": 20.0, "bank": 20.0, "thin": 6.0}
+"""Optical depth before the sun of an even cloud, added to that of its structure: stratus 20, altostratus 6."""
 FULL_16, FULL_8 = 65535.0, 255.0
 
 
@@ -168,11 +170,22 @@ class World:
         clear *= 0.91 + 10.0 * np.exp(-3.0 * away) * (height > -4) + 0.45 * np.cos(away) ** 2
         azimuth = np.radians(self.azimuth - 200.0)
         glow = 2e-5 * (1.0 + 4.0 * np.exp(-(1.0 - np.cos(azimuth)) * 3.0) * np.exp(-self.elevation / 15.0))
-        cover = {"clear": 0.0, "haze": 0.0, "scattered": 0.35, "broken": 0.65, "overcast": 1.0, "fog": 1.0}[weather]
+        cover = {"clear": 0.0, "haze": 0.0, "scattered": 0.35, "broken": 0.65}.get(weather, 1.0)
         thick = self._cloud(time, cover) + (1.5 if weather == "fog" else 0.0)
         disc = 3e4 * (away < math.radians(0.27)) + 60.0 * np.exp(-away / math.radians(1.2)) / haze
-        disc = disc * day * (height > -0.3) * np.exp(-9.0 * thick)
+        disc = (
+            disc
+            * day
+            * (height > -0.3)
+            * np.exp(-DEPTH.get(weather, 0.0) - (2.0 if weather == "thin" else 9.0) * thick)
+        )
         lit = (1.3 + 1.5 * np.exp(-2.0 * away)) * (1.0 - 0.55 * np.clip(thick, 0.0, 1.0)) * (0.4 + 0.6 * up)
+        if weather == "thin":  # as through ground glass
+            lit = lit + 12.0 * np.exp(-away / 0.12) * (height > -0.3)
+        if weather == "bank":  # stands over a ridge all week, with a ragged lower edge
+            lit = lit * (
+                1.0 - 0.75 / (1.0 + np.exp((self.elevation - 14.0 - 3.0 * thick) / 1.5)) * (np.cos(azimuth) > 0.3)
+            )
         lit = lit + (clear - lit) * (1.0 - np.exp(-0.12 / up)) * (cover < 1.0)  # the air before far clouds is lit
         veiled = clear * day * (1.0 - np.clip(1.6 * thick, 0, 1)) + lit * day * np.clip(1.6 * thick, 0, 1)
         return np.asarray(veiled + disc + glow)
@@ -219,6 +232,14 @@ class World:
             cv2.putText(image, stamp, (8, 22), cv2.FONT_HERSHEY_SIMPLEX, 0.6, (255, 255, 255), 1)
         coded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 85])[1]
         return np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR), dtype=np.uint8)
+
+    def bumped(self, image: NDArray[Any], turn: Array) -> NDArray[Any]:
+        """Return an image as the camera shows it once it was turned: its directions are `turn` (3, 3) times before."""
+        east, north, up = np.moveaxis(self.directions @ turn.T, -1, 0)
+        away = self.focal_px * np.arctan2(np.hypot(east, north), up)
+        bearing = np.arctan2(east, north) + math.radians(self.rotation_deg)
+        x, y = ((self.n - 1) / 2.0 - away * part(bearing) for part in (np.sin, np.cos))
+        return np.asarray(cv2.remap(image, x.astype(np.float32), y.astype(np.float32), cv2.INTER_LINEAR))
 
     def times(self, day: int, *, every_min: float = 10.0) -> list[datetime]:
         """Return the moments of a day with the sun above -6 degrees."""

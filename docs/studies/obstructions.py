@@ -13,10 +13,12 @@ import argparse
 import math
 import time as clock
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from obstruction_world import Weather, World
 
 from sunarc.imaging.horizon import horizon_profile
@@ -43,8 +45,8 @@ MIXED: tuple[Sequence[Weather], ...] = (
 )
 
 
-def camera_of(world: World) -> Camera:
-    """Return the world's camera in sunarc's terms."""
+def camera_of(world: World, moved: NDArray[np.float64] | None = None) -> Camera:
+    """Return the world's camera in sunarc's terms; `moved`: turned as by `World.bumped`."""
     centre, angle = (world.n - 1) / 2.0, math.radians(world.rotation_deg)
     sine, cosine = math.sin(angle), math.cos(angle)
     turn = np.array([[-cosine, -sine, 0.0], [sine, -cosine, 0.0], [0.0, 0.0, 1.0]])
@@ -60,7 +62,7 @@ def camera_of(world: World) -> Camera:
     at = project(camera, world.directions[[world.n // 4], [world.n // 3]])
     if not np.allclose(at, [[world.n // 3, world.n // 4]], atol=1e-6):
         raise SystemExit(f"the axes differ: {at}")
-    return camera
+    return camera if moved is None else replace(camera, rotation_cam_enu=rotation_vector(turn @ moved.T))
 
 
 class Learner:
@@ -188,7 +190,7 @@ def main() -> None:
     for seed in range(asked.first, asked.first + asked.worlds):
         jpeg = seed % 2 == 1
         print(study(World(n=asked.size, seed=seed, linear=not jpeg, text=jpeg), asked.pictures), flush=True)
-    for weather in ("fog", "overcast", "broken"):
+    for weather in ("fog", "overcast", "bank", "thin", "broken"):
         print(week(World(n=asked.size, seed=asked.first + 100, linear=False, text=True), weather), flush=True)
 
 

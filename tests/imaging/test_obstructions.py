@@ -68,7 +68,7 @@ def test_fog_of_days_makes_no_mask() -> None:
         learner.day(day, ["fog"], every_min=60.0)
     assert not learner.sums.is_ready
     assert learner.sums.missing_h == 4.0
-    high = learner.grid.directions[..., 2] > np.sin(np.radians(5.0))
+    high = learner.grid.directions[2] > np.sin(np.radians(5.0))
     assert np.all(learner.mask().state[high] == UNKNOWN)
 
 

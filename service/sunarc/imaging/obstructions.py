@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -72,17 +72,12 @@ class CellGrid:
 
     camera: Camera
     """Lens and pose."""
-    in_field: BoolArray
-    """(rows, columns) whether they lie within the camera's field."""
-    sky: BoolArray
-    """(rows, columns) whether they lie above the astronomical horizon."""
+    directions: Cells
+    """(3, rows, columns) unit vectors of their centres, east-north-up; 0 outside the camera's field."""
     inner: BoolArray
     """(rows, columns) whether they lie away from the edge of the camera's field, a texture that stands still."""
     area_deg2: Cells
     """(rows, columns) solid angles, square degrees."""
-    basis: Cells
-    """(5, rows, columns) terms of the sky's light that do not depend on the sun: first the direction of the centre, a
-    unit vector east-north-up, 0 outside the field."""
     sampled: NDArray[np.int64]
     """Cells (indices) that the sky's light is fitted to."""
 
@@ -94,17 +89,17 @@ class CellGrid:
     @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns."""
-        return self.sky.shape[0], self.sky.shape[1]
+        return self.area_deg2.shape[0], self.area_deg2.shape[1]
 
     @property
-    def directions(self) -> Cells:
-        """(rows, columns, 3) unit vectors of their centres, east-north-up; NaN outside the camera's field."""
-        return np.where(self.in_field[..., None], np.moveaxis(self.basis[:3], 0, -1), np.float32(np.nan))
+    def sky(self) -> BoolArray:
+        """(rows, columns) whether they lie above the astronomical horizon."""
+        return np.asarray(self.directions[2] > 0.0)
 
     @property
     def resolution_deg(self) -> float:
         """Size of a cell near the horizon, degrees."""
-        low = self.sky & (self.basis[2] < math.sin(math.radians(30.0)))
+        low = self.sky & (self.directions[2] < math.sin(math.radians(30.0)))
         return math.sqrt(float(np.median(self.area_deg2[low]))) if low.any() else 1.0
 
 
@@ -115,20 +110,16 @@ def cell_grid(camera: Camera) -> CellGrid:
     y, x = np.mgrid[0:rows, 0:columns]
     centres = np.stack([(x + 0.5) * camera.width / columns - 0.5, (y + 0.5) * camera.height / rows - 0.5], axis=-1)
     found = inverse_table(camera).directions(centres.reshape(-1, 2)).reshape(rows, columns, 3).astype(np.float32)
-    east, north, up = np.moveaxis(np.nan_to_num(found), -1, 0)
-    sky = np.asarray(up > 0.0)
     right, down = (np.gradient(found, axis=axis) for axis in (1, 0))
     area = np.linalg.norm(np.cross(right, down), axis=-1) * np.degrees(1.0) ** 2
-    basis = np.stack([east, north, up, up**2, np.exp(-6.0 * np.abs(up))])
-    cells = np.flatnonzero(up > 0.03)
+    directions = np.ascontiguousarray(np.moveaxis(np.nan_to_num(found), -1, 0))
+    sky, sampled = directions[2] > 0.0, np.flatnonzero(directions[2] > 0.03)
     return CellGrid(
         camera=camera,
-        in_field=np.isfinite(found[..., 2]),
-        sky=sky,
+        directions=directions,
         inner=cv2.erode(sky.astype(np.uint8), np.ones((9, 9), np.uint8), borderValue=0).astype(bool),
         area_deg2=np.where(sky, np.nan_to_num(area), 0.0).astype(np.float32),
-        basis=np.ascontiguousarray(basis, dtype=np.float32),
-        sampled=cells[:: max(cells.size // _FIT_CELLS, 1)],
+        sampled=sampled[:: max(sampled.size // _FIT_CELLS, 1)],
     )
 
 
@@ -237,10 +228,15 @@ def add_star_votes(sums: ObstructionSums, grid: CellGrid, *, named: FloatArray, 
         cv2.dilate(_marked(grid, directions), np.ones((size, size), np.uint8)) > 0
         for directions, size in ((named, 3), (named, 9), (missed, 5))
     )
-    odds = np.where(free, sums.log_odds - _NAMED_STAR, sums.log_odds)
-    raised = np.maximum(odds, np.minimum(odds + _MISSED_STAR, _MOST_CLOUDY_ODDS))
-    odds = np.where(hidden & ~near & grid.sky, raised, odds)
-    return replace(sums, log_odds=np.clip(odds, -_MOST_ODDS, _MOST_ODDS).astype(np.float32))
+    votes = _MISSED_STAR * (hidden & ~near & grid.sky) - _NAMED_STAR * free
+    return replace(sums, log_odds=_added(sums.log_odds, _cells(votes), most=_MOST_CLOUDY_ODDS))
+
+
+def _added(odds: Cells, votes: Cells, *, most: float) -> Cells:
+    """Return log odds with votes, clipped; votes for an obstruction raise none above `most`."""
+    voted = odds + votes
+    np.minimum(voted, np.maximum(odds, most), out=voted)
+    return np.clip(voted, -_MOST_ODDS, _MOST_ODDS, out=voted)
 
 
 def _marked(grid: CellGrid, directions: FloatArray) -> NDArray[np.uint8]:
@@ -263,12 +259,13 @@ def _count_use(sums: ObstructionSums, use: str) -> ObstructionSums:
 
 
 def _reduced(image: Image, shape: tuple[int, int]) -> Cells:
-    """Return the means of cells as shares of the full scale; a mosaic's colours are averaged first."""
-    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
-    if image.shape[0] >= 2 * shape[0]:
-        grey = cv2.resize(grey, (image.shape[1] // 2, image.shape[0] // 2), interpolation=cv2.INTER_AREA)
-    cells = cv2.resize(grey, shape[::-1], interpolation=cv2.INTER_AREA)
-    return _cells(cells) / np.float32(np.iinfo(image.dtype).max)
+    """Return the means of cells as shares of the full scale, by halves first: a mosaic's colours are averaged."""
+    cells = image
+    while cells.shape[0] >= 2 * shape[0]:
+        cells = cv2.resize(cells, (cells.shape[1] // 2, cells.shape[0] // 2), interpolation=cv2.INTER_AREA)
+    cells = cv2.resize(cells, shape[::-1], interpolation=cv2.INTER_AREA)
+    grey = cv2.cvtColor(cells, cv2.COLOR_BGR2GRAY) if cells.ndim == 3 else cells
+    return _cells(grey) / np.float32(np.iinfo(image.dtype).max)
 
 
 def _cells(values: ArrayLike) -> Cells:
@@ -291,52 +288,48 @@ def _fine(light: Cells, counts: Cells) -> Cells:
     """Return the fine part of the log brightness, 0 where cells saturate."""
     fine = np.clip(light - cv2.blur(light, (3, 3)), -0.5, 0.5)
     saturated = cv2.dilate((counts > _SATURATED).astype(np.uint8), np.ones((5, 5), np.uint8))
-    return np.where(saturated > 0, np.float32(0.0), fine)
+    return fine * (saturated == 0)
 
 
 def _is_other_scene(texture: Cells, sums: ObstructionSums, grid: CellGrid) -> bool:
     """Return whether an image's texture is not the stored one, where that is known and seen."""
-    strong = (np.abs(sums.texture) > 2.0 * _STATIC) & (grid.basis[2] > math.sin(math.radians(_RIM_DEG)))
-    if sums.votes < 0.25 * _STATIC_VOTES or np.count_nonzero(strong) < 200:
+    texture, stored, up = (one[::2, ::2] for one in (texture, sums.texture, grid.directions[2]))
+    strong = (np.abs(stored) > 2.0 * _STATIC) & (up > math.sin(math.radians(_RIM_DEG)))
+    n = np.count_nonzero(strong)
+    if sums.votes < 0.25 * _STATIC_VOTES or n < 50:
         return False
-    now, stored = texture[strong], sums.texture[strong]
-    size = float(np.sqrt(np.mean(now**2)))
-    if size < _STATIC:  # fog, snow: nothing is seen, of any scene
+    now, stored = texture * strong, stored * strong
+    if np.vdot(now, now) < n * _STATIC**2:  # fog, snow: nothing is seen, of any scene
         return False
-    return float(np.mean(now * stored)) < _OTHER_SCENE * size * float(np.sqrt(np.mean(stored**2)))
+    return bool(np.vdot(now, stored) < _OTHER_SCENE * math.sqrt(np.vdot(now, now) * np.vdot(stored, stored)))
 
 
 def _voted(
     sums: ObstructionSums, image: _CellImage, grid: CellGrid, *, sun: FloatArray, vote: float, sun_seen: bool | None
 ) -> ObstructionSums:
     """Return the evidence with the votes of a usable image."""
-    towards = _weighted(sun, grid.basis[:3])
-    sky, spread = _sky_light(image.light, sums, grid, towards)
-    contrast = np.clip(image.light - sky, -2.0, 2.0)
+    towards = _cells(np.tensordot(sun.astype(np.float32), grid.directions, 1))
+    contrast, spread = _contrast(image.light, sums, grid, towards)
     seen = sun_seen if sun_seen is not None else _sun_is_seen(image, grid, towards)
     behind = sun[2] > 0.0 and float(sums.log_odds.flat[int(np.argmax(towards))]) > -1.0  # not in the open sky
     clear = seen or (behind and spread < _CLEAR_SPREAD and sums.unix_s - sums.seen_s < _CLEAR_FOR_S)
     weight = vote / (1.0 + (spread / _CLEAR_SPREAD) ** 2) ** 2 * (1.0 if clear else _CLOUDY_WEIGHT)
-    dark = np.clip((-contrast - _DARK) / _DARK_WIDTH, -1.0, 1.0)
-    still = _stillness(image.texture, sums)
-    fading = np.clip(1.0 - (contrast - _BRIGHT) / _BRIGHT_WIDTH, 0.2, 1.0) * (1.0 - still)
+    usable = ((towards < math.cos(math.radians(_AUREOLE_DEG))) & (image.counts < _SATURATED)).astype(np.uint8)
     shows_sky = clear or spread > _CLEAR_SPREAD  # in fog and under an even overcast all looks like the sky
-    score = np.where(dark < 0.0, dark * fading if shows_sky else 0.0, dark) + still
-    usable = (towards < math.cos(math.radians(_AUREOLE_DEG))) & (image.counts < _SATURATED)
+    votes = _scores(contrast, _stillness(image.texture, sums), shows_sky=shows_sky)
+    votes *= usable * np.float32(weight)
     odds = sums.log_odds * np.float32(0.5 ** (vote * _VOTE_S / _HALF_LIFE_S))
-    voted = odds + np.where(usable, weight * score, 0.0).astype(np.float32, copy=False)
-    if not clear:
-        voted = np.where(voted > odds, np.maximum(odds, np.minimum(voted, _MOST_CLOUDY_ODDS)), voted)
+    odds = _added(odds, votes, most=_MOST_ODDS if clear else _MOST_CLOUDY_ODDS)
     if seen:
-        voted[towards > math.cos(math.radians(0.4))] -= 4.0 * vote
-    share = np.float32(weight / (min(sums.votes, _STATIC_VOTES) + weight))
-    mean_contrast = sums.contrast + share * np.where(usable, contrast - sums.contrast, 0.0)
-    mean_texture = sums.texture + share * (image.texture - sums.texture)
+        odds[towards > math.cos(math.radians(0.4))] -= 4.0 * vote
+    share, texture, mean = weight / (min(sums.votes, _STATIC_VOTES) + weight), sums.texture.copy(), sums.contrast.copy()
+    cv2.accumulateWeighted(image.texture, texture, share)
+    cv2.accumulateWeighted(contrast, mean, share, mask=usable)
     found = replace(
         sums,
-        log_odds=np.clip(voted, -_MOST_ODDS, _MOST_ODDS),
-        texture=mean_texture.astype(np.float32, copy=False),
-        contrast=mean_contrast.astype(np.float32, copy=False),
+        log_odds=odds,
+        texture=texture,
+        contrast=mean,
         votes=sums.votes + weight,
         clear_s=sums.clear_s + vote * _VOTE_S * (seen and spread < _FAIR_SPREAD),
         seen_s=sums.unix_s if seen else sums.seen_s,
@@ -345,20 +338,33 @@ def _voted(
     return _count_use(found, "clear" if clear else "cloudy")
 
 
-def _weighted(weights: FloatArray, planes: Cells) -> Cells:
-    """Return the sum of planes (n, rows, columns), each times its weight (n,)."""
-    return _cells(np.tensordot(weights.astype(np.float32), planes, 1))
+def _scores(contrast: Cells, still: Cells, *, shows_sky: bool) -> Cells:
+    """Return votes by cells: above 0 where they are dark or their texture stands still, below where they are sky."""
+    dark = np.clip((-_DARK - contrast) / _DARK_WIDTH, -1.0, 1.0)
+    scores = np.maximum(dark, 0.0) + still
+    if shows_sky:
+        fading = np.clip((_BRIGHT + _BRIGHT_WIDTH - contrast) / _BRIGHT_WIDTH, 0.2, 1.0)
+        scores += np.minimum(dark, 0.0) * fading * (1.0 - still)
+    return scores
 
 
-def _sky_light(light: Cells, sums: ObstructionSums, grid: CellGrid, towards: Cells) -> tuple[Cells, float]:
-    """Return the log brightness of a smooth sky, fitted to cells that are not dark, and the spread about it."""
-    of_sun = [towards * towards, np.float32(1.0) / (np.float32(1.1) - towards)]
-    picked = [one.ravel()[grid.sampled] for one in (*grid.basis, *of_sun)]
-    rows = np.stack([np.ones_like(picked[0]), *picked], axis=-1).astype(np.float64)
+def _sky_planes(directions: Cells, towards: Cells) -> Iterator[Cells]:
+    """Yield the terms (...) of a smooth sky's light in directions (3, ...) with these cosines (...) to the sun."""
+    yield from directions
+    yield directions[2] ** 2
+    yield np.exp(-6.0 * np.abs(directions[2]))
+    yield towards**2
+    yield 1.0 / (1.1 - towards)
+
+
+def _contrast(light: Cells, sums: ObstructionSums, grid: CellGrid, towards: Cells) -> tuple[Cells, float]:
+    """Return the log contrast to a smooth sky, fitted to cells that are not dark, and the spread about it."""
+    sampled, sun_cosine = grid.directions.reshape(3, -1)[:, grid.sampled], towards.ravel()[grid.sampled]
+    rows = np.stack([np.ones_like(sun_cosine), *_sky_planes(sampled, sun_cosine)], axis=-1).astype(np.float64)
     values = light.ravel()[grid.sampled].astype(np.float64)
     up = rows[:, 3]
     free = 1.0 / (1.0 + np.exp(np.clip(sums.log_odds.ravel()[grid.sampled], -4.0, 4.0)))
-    prior = free * (towards.ravel()[grid.sampled] < math.cos(math.radians(_AUREOLE_DEG)))
+    prior = free * (sun_cosine < math.cos(math.radians(_AUREOLE_DEG)))
     weight, ridge = prior * (0.1 + up), np.diag([0.0, 1.0, 1.0, 1.0, 4.0, 4.0, 1.0, 1.0])
     residual = values
     for _ in range(_FIT_ROUNDS):
@@ -366,12 +372,12 @@ def _sky_light(light: Cells, sums: ObstructionSums, grid: CellGrid, towards: Cel
         terms = np.linalg.solve(weighted.T @ rows + ridge + 1e-9 * np.eye(8), weighted.T @ values)
         residual = values - rows @ terms
         weight = prior * (0.2 + up) / (1.0 + (residual / np.where(residual < 0.0, 0.25, 0.5)) ** 2)
-    sky = _weighted(np.asarray(terms[1:6], dtype=np.float64), grid.basis) + np.float32(terms[0])
-    for term, plane in zip(terms[6:].tolist(), of_sun, strict=True):
-        sky += np.float32(term) * plane
+    contrast = light - np.float32(terms[0])
+    for term, plane in zip(terms[1:].tolist(), _sky_planes(grid.directions, towards), strict=True):
+        cv2.scaleAdd(plane, -term, contrast, dst=contrast)
     high = (up > 0.17) & (prior > 0.3)
     spread = 1.48 * float(np.median(np.abs(residual[high]))) if np.count_nonzero(high) else 1.0
-    return sky, spread
+    return np.clip(contrast, -2.0, 2.0, out=contrast), spread
 
 
 def _sun_is_seen(image: _CellImage, grid: CellGrid, towards: Cells) -> bool:
@@ -387,13 +393,15 @@ def _stillness(texture: Cells, sums: ObstructionSums) -> Cells:
     """Return (rows, columns), 0 to 1: how surely a texture is there that stood in earlier images already."""
     if sums.votes < 0.1 * _STATIC_VOTES:
         return np.zeros_like(texture)
-    stored = sums.texture
-    energy = cv2.blur(stored * stored, (5, 5))
-    agreement = cv2.blur(texture * stored, (5, 5)) / (energy + 1e-4)
-    still = np.clip(np.sqrt(np.maximum(energy, 0.0)) / _STATIC - 1.0, 0.0, 1.0) * np.clip(
-        2.0 * agreement - 0.5, 0.0, 1.0
+    halves = (texture.shape[1] // 2, texture.shape[0] // 2)
+    stored, now = (
+        cv2.resize(one * sums.texture, halves, interpolation=cv2.INTER_AREA) for one in (sums.texture, texture)
     )
-    return _cells(cv2.erode(_cells(still), np.ones((9, 9), np.uint8)))  # what the means have widened
+    energy = np.maximum(cv2.blur(stored, (3, 3)), 0.0)
+    agreement = cv2.blur(now, (3, 3)) / (energy + 1e-4)
+    still = np.clip(np.sqrt(energy) / _STATIC - 1.0, 0.0, 1.0) * np.clip(2.0 * agreement - 0.5, 0.0, 1.0)
+    still = cv2.erode(still, np.ones((5, 5), np.uint8))  # what the means have widened
+    return _cells(cv2.resize(still, texture.shape[::-1], interpolation=cv2.INTER_LINEAR))
 
 
 # The mask of the evidence.
@@ -412,8 +420,9 @@ class ObstructionMask:
 
     def image(self) -> NDArray[np.uint8]:
         """Return the states of all pixels (height, width)."""
-        fine = cv2.resize(self.probability, self.grid.size, interpolation=cv2.INTER_LINEAR)
-        state = np.where(fine > 0.5, HIDDEN, FREE).astype(np.uint8)
+        hidden = (255.0 * self.probability).astype(np.uint8)
+        fine = cv2.resize(hidden, self.grid.size, interpolation=cv2.INTER_LINEAR)
+        state = cv2.threshold(fine, 127, FREE, cv2.THRESH_BINARY_INV)[1]
         for value in (UNKNOWN, SOILED):
             holds = cv2.resize((self.state == value).astype(np.uint8), self.grid.size, interpolation=cv2.INTER_NEAREST)
             state[holds > 0] = value
@@ -421,18 +430,22 @@ class ObstructionMask:
 
     def hidden(self) -> BoolArray:
         """Return (height, width): which pixels do not show the sky, dirt on the dome with them."""
-        return np.asarray(np.isin(self.image(), (HIDDEN, SOILED)))
+        return _hides(self.image())
 
     @property
     def hidden_cells(self) -> BoolArray:
         """(rows, columns) whether they do not show the sky, dirt on the dome with them."""
-        return np.asarray(np.isin(self.state, (HIDDEN, SOILED)))
+        return _hides(self.state)
 
     def hides(self, directions: FloatArray) -> BoolArray:
         """Return (...): which directions (..., 3), east-north-up, are surely behind an obstruction or dirt."""
         cells, seen = _find_cells(self.grid, directions.reshape(-1, 3))
-        hidden = seen & np.isin(self.state[cells], (HIDDEN, SOILED))
-        return np.asarray(hidden).reshape(directions.shape[:-1])
+        hidden = seen & _hides(self.state[cells])
+        return hidden.reshape(directions.shape[:-1])
+
+
+def _hides(states: States) -> BoolArray:
+    return np.asarray((states == HIDDEN) | (states == SOILED))
 
 
 def _find_cells(grid: CellGrid, directions: FloatArray) -> tuple[tuple[IntArray, IntArray], BoolArray]:
@@ -465,7 +478,7 @@ def obstruction_mask(sums: ObstructionSums, grid: CellGrid) -> ObstructionMask:
 
 def _soiled(hidden: BoolArray, contrast: Cells, grid: CellGrid) -> BoolArray:
     """Return which hidden cells are dirt on the dome: away from the rim and without a sharp border."""
-    rim = ~(np.nan_to_num(grid.directions[..., 2], nan=-1.0) > math.sin(math.radians(_RIM_DEG)))
+    rim = ~(grid.directions[2] > math.sin(math.radians(_RIM_DEG)))
     n, labels = cv2.connectedComponents((hidden | rim).astype(np.uint8), connectivity=8)
     slope = cv2.morphologyEx(contrast, cv2.MORPH_GRADIENT, np.ones((2, 2), np.uint8))
     soiled = np.zeros(hidden.shape, dtype=bool)
@@ -527,7 +540,7 @@ def mask_changes(known: States, mask: ObstructionMask, *, least_deg2: float = 4.
             area = float(mask.grid.area_deg2[part].sum())
             if area >= least_deg2:
                 after[part] = now
-                east, north, up = mask.grid.basis[:3, part].mean(axis=1).tolist()
+                east, north, up = mask.grid.directions[:, part].mean(axis=1).tolist()
                 elevation = math.degrees(math.atan2(up, math.hypot(east, north)))
                 found.append(Change(appeared, math.degrees(math.atan2(east, north)) % 360.0, elevation, area))
     return sorted(found, key=lambda one: -one.area_deg2), after
@@ -542,13 +555,23 @@ def carried_over(sums: ObstructionSums, camera: Camera, grid: CellGrid) -> Obstr
     camera : the former pose.
     grid : of the new pose.
     """
-    directions = np.nan_to_num(grid.directions.reshape(-1, 3).astype(np.float64), nan=0.0)
-    at = project_fast(camera, directions).reshape(*grid.shape, 2)
-    odds, contrast = (sampled_cells(one, at, camera) for one in (0.5 * sums.log_odds, sums.contrast))
+    odds, contrast = (_at_former_pose(one, camera, grid) for one in (0.5 * sums.log_odds, sums.contrast))
     empty = no_sums(grid)
     return replace(
         sums, log_odds=odds, contrast=contrast, texture=empty.texture, votes=0.0, other_s=0.0, last=empty.last
     )
+
+
+def carried_states(states: States, camera: Camera, grid: CellGrid) -> States:
+    """Return states of a camera's former pose for its new one; unknown near borders, since poses have errors."""
+    carried = np.rint(_at_former_pose(_cells(states) - UNKNOWN, camera, grid) + UNKNOWN).astype(np.uint8)
+    lowest, highest = (change(carried, np.ones((7, 7), np.uint8)) for change in (cv2.erode, cv2.dilate))
+    return np.where(lowest == highest, carried, np.uint8(UNKNOWN))
+
+
+def _at_former_pose(values: Cells, camera: Camera, grid: CellGrid) -> Cells:
+    at = project_fast(camera, grid.directions.reshape(3, -1).T.astype(np.float64)).reshape(*grid.shape, 2)
+    return sampled_cells(values, at, camera)
 
 
 def sampled_cells(values: Cells, pixels: FloatArray, camera: Camera) -> Cells:

@@ -19,13 +19,14 @@ from sunarc.calibration.model.result import Calibration
 from sunarc.common.array_types import BoolArray, FloatArray, Image
 from sunarc.common.errors import InputError, OutsideError
 from sunarc.common.findings import Finding
-from sunarc.common.utc import MICROSECOND, utc_time
+from sunarc.common.utc import DAY_S, MICROSECOND, utc_time
 from sunarc.detection.values import Detection
 from sunarc.imager.archive.archive import CameraArchive
 from sunarc.imager.archive.images import write_atomically
 from sunarc.imager.archive.pictures_of_one_time import ELSEWHERE
 from sunarc.imaging.horizon import HorizonProfile, find_obstructions
 from sunarc.imaging.obstructions import (
+    UNKNOWN,
     CellGrid,
     Change,
     ObstructionMask,
@@ -33,6 +34,7 @@ from sunarc.imaging.obstructions import (
     States,
     add_star_votes,
     carried_over,
+    carried_states,
     cell_grid,
     mask_changes,
     no_sums,
@@ -83,7 +85,7 @@ class ObstructionLearner:
         self._model: Calibration | None = None
         self._calibration, self._pose_epoch = "", ""
         self._learned: LearnedObstructions | None = None
-        self._states: States | None = None
+        self._known: _KnownStates | None = None
         self._written_s = -math.inf
 
     @property
@@ -151,14 +153,17 @@ class ObstructionLearner:
         grid = cell_grid(model.camera)
         sums = self._sums
         if sums is None:
-            calibration_before, sums, self._states = _read(self._path)
+            calibration_before, sums, self._known = _read(self._path)
             before = self._find_known(calibration_before)
         else:
             before = self._model
         if sums is None or before is None or sums.log_odds.shape != grid.shape:
-            sums, self._states = no_sums(grid), None
+            sums, self._known = no_sums(grid), None
         elif _turn_deg(before, model) > _SAME_DEG:
-            sums, self._learned, self._states = carried_over(sums, before.camera, grid), None, None
+            sums, self._learned = carried_over(sums, before.camera, grid), None
+            if self._known is not None:
+                states, seen = (carried_states(one, before.camera, grid) for one in self._known[:2])
+                self._known = _KnownStates(states, seen, self._known.unix_s)
         self._sums, self._grid, self._model, self._calibration = sums, grid, model, calibration
 
     def _find_known(self, calibration: str) -> Calibration | None:
@@ -178,11 +183,19 @@ class ObstructionLearner:
             self._learned = LearnedObstructions(self._calibration, self._pose_epoch, time, *found)
             if before is None:
                 self._set_aside_before(time)
-            known = found.mask.state if self._states is None else self._states
-            changes, self._states = mask_changes(known, found.mask)
+            self._compare(found.mask, time)
+        write_atomically(self._path, _bytes(self._calibration, sums, self._known))
+
+    def _compare(self, mask: ObstructionMask, time: datetime) -> None:
+        """Write the events of changes that this mask and one of a day before show: a move is found within a day."""
+        known = self._known or _KnownStates(mask.state, mask.state, time.timestamp())
+        if abs(time.timestamp() - known.unix_s) >= DAY_S:
+            lasting = np.where(mask.state == known.seen, mask.state, np.uint8(UNKNOWN))
+            changes, states = mask_changes(known.states, replace(mask, state=lasting))
             for change in changes:
                 self._camera.add_event(_finding(change), time=time, severity="info")
-        write_atomically(self._path, _bytes(self._calibration, sums, self._states))
+            known = _KnownStates(states, mask.state, time.timestamp())
+        self._known = known
 
     def _set_aside_before(self, time: datetime) -> None:
         """Leave the suns behind obstructions out of every fit that were accepted before the first mask."""
@@ -193,18 +206,17 @@ class ObstructionLearner:
             sightings.exclude(name, Finding("sun_behind_obstruction"), since=at, until=at + MICROSECOND)
 
 
+class _KnownStates(NamedTuple):
+    """States of cells that are known, those of the mask that was last compared with them, and its time."""
+
+    states: States
+    seen: States
+    unix_s: float
+
+
 def _finding(change: Change) -> Finding:
-    azimuth_deg, elevation_deg, area_deg2 = (
-        round(value, 1) for value in (change.azimuth_deg, change.elevation_deg, change.area_deg2)
-    )
-    if change.appeared:
-        return Finding(
-            "obstruction_appeared",
-            {"azimuth_deg": azimuth_deg, "elevation_deg": elevation_deg, "area_deg2": area_deg2},
-        )
-    return Finding(
-        "obstruction_gone", {"azimuth_deg": azimuth_deg, "elevation_deg": elevation_deg, "area_deg2": area_deg2}
-    )
+    data = {name: round(value, 1) for name, value in change._asdict().items() if name != "appeared"}
+    return Finding("obstruction_appeared", data) if change.appeared else Finding("obstruction_gone", data)
 
 
 def _turn_deg(before: Calibration, after: Calibration) -> float:
@@ -221,29 +233,30 @@ def _turn_deg(before: Calibration, after: Calibration) -> float:
 _ARRAYS = ("log_odds", "texture", "contrast", "last")
 
 
-def _bytes(calibration: str, sums: ObstructionSums, states: States | None) -> bytes:
+def _bytes(calibration: str, sums: ObstructionSums, known: _KnownStates | None) -> bytes:
     plain = {one.name: getattr(sums, one.name) for one in fields(sums) if one.name not in _ARRAYS}
     plain["counts"] = dict(sums.counts)
+    arrays = {name: getattr(sums, name).astype(np.float16) for name in _ARRAYS}
+    if known is not None:
+        plain["known_s"], arrays["known"] = known.unix_s, np.stack(known[:2])
     text = json.dumps({"calibration": calibration, **plain})
     content = io.BytesIO()
-    arrays = {name: getattr(sums, name).astype(np.float16) for name in _ARRAYS}
-    known = np.zeros((0, 0), np.uint8) if states is None else states
-    np.savez_compressed(content, plain=np.array(text), states=known, **arrays)
+    np.savez_compressed(content, plain=np.array(text), **arrays)
     return content.getvalue()
 
 
-def _read(path: Path) -> tuple[str, ObstructionSums | None, States | None]:
+def _read(path: Path) -> tuple[str, ObstructionSums | None, _KnownStates | None]:
     """Return the calibration, the sums and the known states of a file; None without a sound one."""
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
             plain: dict[str, Any] = json.loads(str(stored["plain"]))
             arrays = {name: stored[name].astype(np.float32) for name in _ARRAYS}
-            states = stored["states"].astype(np.uint8) if "states" in stored else np.zeros((0, 0), np.uint8)
+            known = _KnownStates(*stored["known"], plain.pop("known_s")) if "known" in stored else None
         calibration = str(plain.pop("calibration"))
         sums = replace(ObstructionSums(**arrays), **plain)
         whole = sums.log_odds.shape == sums.texture.shape == sums.contrast.shape
         if whole and all(np.isfinite(one).all() for one in arrays.values()):
-            return calibration, sums, states if states.shape == sums.log_odds.shape else None
+            return calibration, sums, known if known and known.states.shape == sums.log_odds.shape else None
     except FileNotFoundError:
         pass
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
