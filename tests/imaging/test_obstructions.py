@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import cv2
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 
 from sunarc.common.errors import InputError
-from sunarc.imaging.horizon import horizon_profile
+from sunarc.imaging.horizon import HorizonProfile, horizon_profile, sun_hours
 from sunarc.imaging.obstructions import (
     FREE,
     HIDDEN,
@@ -20,6 +21,7 @@ from sunarc.imaging.obstructions import (
     ObstructionSums,
     add_star_votes,
     carried_over,
+    carried_states,
     cell_grid,
     mask_changes,
     no_sums,
@@ -27,10 +29,11 @@ from sunarc.imaging.obstructions import (
     updated_sums,
 )
 from sunarc.optics.pose import rotation_matrix, rotation_vector
+from sunarc.sky.site import Site
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "docs" / "studies"))
-from obstruction_world import World
-from obstructions import Learner, horizon_errors
+from obstruction_world import Weather, World, sun_enu
+from obstructions import Learner, camera_of, horizon_errors
 
 SIZE = 256
 
@@ -62,12 +65,19 @@ def test_the_horizon_is_within_half_a_degree_where_its_edge_is_sharp(clear_day: 
     assert within_two_sigma >= 0.85
 
 
-def test_fog_of_days_makes_no_mask() -> None:
+@pytest.mark.parametrize("weather", ["fog", "overcast", "bank"])
+def test_days_without_the_sun_make_no_mask(weather: Weather) -> None:
     learner = Learner(World(n=SIZE, seed=3, linear=False))
     for day in range(3):
-        learner.day(day, ["fog"], every_min=60.0)
+        learner.day(day, [weather], every_min=60.0)
     assert not learner.sums.is_ready
     assert learner.sums.missing_h == 4.0
+    assert learner.false_share() == 0.0
+
+
+def test_fog_shows_neither_sky_nor_obstructions() -> None:
+    learner = Learner(World(n=SIZE, seed=3, linear=False))
+    learner.day(0, ["fog"], every_min=60.0)
     high = learner.grid.directions[2] > np.sin(np.radians(5.0))
     assert np.all(learner.mask().state[high] == UNKNOWN)
 
@@ -86,7 +96,15 @@ def test_images_that_are_not_of_the_scene_are_counted_and_do_not_vote(clear_day:
     }
     for use, (before, after) in cases.items():
         assert after.counts.get(use, 0) == before.counts.get(use, 0) + 1, use
-        assert np.array_equal(after.log_odds, before.log_odds), use
+        assert np.allclose(after.log_odds, before.log_odds, rtol=2e-2), use
+
+
+def test_evidence_halves_in_sixty_days(clear_day: Learner) -> None:
+    later_s = clear_day.sums.unix_s + 60.0 * 86400.0
+    dark = np.full((SIZE, SIZE), 40, np.uint16)
+    after = updated_sums(clear_day.sums, dark, clear_day.grid, sun=np.array([0.0, 0.0, 1.0]), unix_s=later_s)
+    assert after.counts["covered"] == clear_day.sums.counts.get("covered", 0) + 1
+    assert np.allclose(after.log_odds, 0.5 * clear_day.sums.log_odds)
 
 
 def test_an_image_of_another_size_is_refused(clear_day: Learner) -> None:
@@ -180,6 +198,50 @@ def test_named_stars_free_their_cells_and_stars_that_are_never_found_hide_theirs
     assert not np.any(state[sky & outside] == HIDDEN)
     nothing = add_star_votes(sums, grid, named=np.zeros((0, 3)), missed=np.zeros((0, 3)))
     assert np.array_equal(nothing.log_odds, sums.log_odds)
+
+
+def test_known_states_are_carried_over_a_turn_and_are_unknown_at_their_borders(clear_day: Learner) -> None:
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    turned = camera_of(clear_day.world, turn)
+    grid, state = cell_grid(turned), clear_day.mask().state
+    carried = carried_states(state, clear_day.camera, grid)
+    rotated = max((np.rot90(state, k) for k in (1, 3)), key=lambda one: np.mean(one[grid.sky] == carried[grid.sky]))
+    known = grid.sky & (carried != UNKNOWN)
+    assert np.array_equal(carried[known], rotated[known])
+    assert np.mean(carried[grid.sky] != UNKNOWN) > 0.8
+    border = cv2.morphologyEx(rotated, cv2.MORPH_GRADIENT, np.ones((5, 5), np.uint8)) > 0
+    assert np.all(carried[border & grid.sky] == UNKNOWN)
+
+
+def test_the_sky_below_a_jib_is_an_opening_of_the_horizon() -> None:
+    learner = Learner(World(n=SIZE, seed=3))
+    world, mask = learner.world, learner.mask()
+    probability = world.truth(crane=True).astype(np.float32)
+    profile = horizon_profile(replace(mask, probability=probability))
+    jib = [round(world.crane_at + off) % 360 for off in (14, 18, 22)]
+    for azimuth in jib:
+        below = float(world.horizon_deg()[azimuth])
+        assert profile.elevation_deg[azimuth] == pytest.approx(31.0, abs=0.6)
+        ((low, high),) = profile.openings[azimuth]
+        assert (low, high) == (pytest.approx(below, abs=0.8), pytest.approx(29.0, abs=0.6))
+    a, e = np.radians(jib[0]), np.radians([20.0, 30.0, 40.0])
+    directions = np.stack([np.cos(e) * np.sin(a), np.cos(e) * np.cos(a), np.sin(e)], axis=-1)
+    assert profile.hides(directions).tolist() == [False, True, False]
+
+
+@pytest.mark.parametrize("elevation_deg", [0.0, 12.0, 90.0])
+def test_hours_of_sun_are_lost_while_the_sun_is_below_the_horizon(elevation_deg: float) -> None:
+    flat = HorizonProfile(
+        elevation_deg=np.full(360, elevation_deg), sigma_deg=np.zeros(360), openings=tuple(() for _ in range(360))
+    )
+    hours = sun_hours(flat, Site(latitude=47.0, longitude=8.0, altitude=0.0), year=2026)
+    every = [datetime(2026, 1, 1, tzinfo=UTC) + timedelta(minutes=20 * k) for k in range(365 * 72)]
+    height = np.degrees(np.arcsin([sun_enu(time, 47.0, 8.0)[2] for time in every]))
+    months = np.array([time.month - 1 for time in every])
+    risen = height > -0.57  # the air lifts the setting sun
+    low = np.bincount(months, weights=risen & (height < elevation_deg) & (elevation_deg > 0.0), minlength=12) / 3.0
+    assert np.allclose(hours.lost, low, atol=6.0)
+    assert np.allclose(hours.up, np.bincount(months, weights=risen) / 3.0, atol=6.0)
 
 
 def test_nothing_is_known_before_the_first_image(clear_day: Learner) -> None:

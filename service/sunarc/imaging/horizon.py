@@ -59,17 +59,12 @@ _AT_ONCE = 20
 _OFFSETS_DEG = (-0.4, -0.2, 0.0, 0.2, 0.4)
 
 
-class Obstructions(NamedTuple):
-    """Obstructions of a camera's sky: as cells of its image, and as a horizon."""
-
-    mask: ObstructionMask
-    horizon: HorizonProfile
-
-
-def find_obstructions(sums: ObstructionSums, grid: CellGrid, *, sigma_deg: float = 0.0) -> Obstructions:
+def find_obstructions(
+    sums: ObstructionSums, grid: CellGrid, *, sigma_deg: float = 0.0
+) -> tuple[ObstructionMask, HorizonProfile]:
     """Return the mask and the horizon of the evidence; `sigma_deg`: see `horizon_profile`, NaN counts as 0."""
     mask = obstruction_mask(sums, grid)
-    return Obstructions(mask, horizon_profile(mask, sigma_deg=0.0 if math.isnan(sigma_deg) else sigma_deg))
+    return mask, horizon_profile(mask, sigma_deg=0.0 if math.isnan(sigma_deg) else sigma_deg)
 
 
 def horizon_profile(mask: ObstructionMask, *, sigma_deg: float = 0.0) -> HorizonProfile:
@@ -82,48 +77,40 @@ def horizon_profile(mask: ObstructionMask, *, sigma_deg: float = 0.0) -> Horizon
     """
     clean = np.where(mask.state == SOILED, 0.0, mask.probability).astype(np.float32)
     parts = [_measure_azimuths(clean, mask.grid.camera, azimuth) for azimuth in np.arange(360.0).reshape(-1, _AT_ONCE)]
-    tops, widths = (np.concatenate([getattr(part, name) for part in parts]) for name in ("tops", "widths"))
+    tops, widths, seen, middle = (np.concatenate(rows) for rows in zip(*parts, strict=True))
     top = np.median(tops, axis=1)
     resolution = mask.grid.resolution_deg / math.sqrt(12.0)
     spread = 1.48 * np.median(np.abs(tops - top[:, None]), axis=1)
     soft = np.median(np.abs(widths - tops), axis=1) / 2.0
     sigma = np.sqrt(resolution**2 + spread**2 + soft**2 + sigma_deg**2)
-    top[~np.concatenate([part.seen for part in parts])] = np.nan
-    middle = np.concatenate([part.middle for part in parts])
-    openings = tuple(_find_openings(row, _ELEVATION, highest) for row, highest in zip(middle, top, strict=True))
+    top[~seen] = np.nan
+    openings = tuple(_find_openings(row, highest) for row, highest in zip(middle, top.tolist(), strict=True))
     return HorizonProfile(elevation_deg=top, sigma_deg=sigma, openings=openings)
 
 
-class _HorizonPart(NamedTuple):
-    """Azimuths of a horizon (n): highest elevations by offset, whether the image shows them, probabilities."""
-
-    tops: FloatArray
-    widths: FloatArray
-    seen: BoolArray
-    middle: Cells
-
-
-def _measure_azimuths(probability: Cells, camera: Camera, azimuth_deg: FloatArray) -> _HorizonPart:
+def _measure_azimuths(
+    probability: Cells, camera: Camera, azimuth_deg: FloatArray
+) -> tuple[FloatArray, FloatArray, BoolArray, Cells]:
+    """Return by azimuth (n): highest elevations at half and at a tenth, whether it is seen, and probabilities."""
     azimuth = (azimuth_deg[:, None] + np.array(_OFFSETS_DEG))[..., None]
     directions = direction_from_angles(zenith_deg=90.0 - _ELEVATION, azimuth_deg=azimuth)
     at = project_fast(camera, directions.reshape(-1, 3))
     shape = directions.shape[:-1]
     seen = (camera_sees(camera, at) & np.isfinite(at).all(axis=-1)).reshape(shape)
     hidden = sampled_cells(probability, at.reshape(shape[0], -1, 2), camera).reshape(shape)
-    tops, widths = (_highest_hidden_elevation(hidden, seen, limit, _ELEVATION) for limit in (0.5, 0.1))
     middle = np.where(seen, hidden, np.float32(1.0))[:, len(_OFFSETS_DEG) // 2]
-    return _HorizonPart(tops, widths, np.asarray(seen.any(axis=(1, 2))), middle)
+    tops, widths = (_highest_hidden_elevation((hidden > limit) & seen) for limit in (0.5, 0.1))
+    return tops, widths, np.asarray(seen.any(axis=(1, 2))), middle
 
 
-def _highest_hidden_elevation(hidden: Cells, seen: BoolArray, limit: float, elevation: FloatArray) -> FloatArray:
-    """Return (...) the highest elevation at which the probability is above a limit, 0 where it is nowhere."""
-    above = (hidden > limit) & seen
+def _highest_hidden_elevation(above: BoolArray) -> FloatArray:
+    """Return (...) the highest elevation at which something holds (..., elevations), 0 where it holds nowhere."""
     last = above.shape[-1] - 1 - np.argmax(above[..., ::-1], axis=-1)
-    return np.where(above.any(axis=-1), elevation[last] + 0.5 * _STEP_DEG * (last > 0), 0.0)
+    return np.where(above.any(axis=-1), _ELEVATION[last] + 0.5 * _STEP_DEG * (last > 0), 0.0)
 
 
-def _find_openings(hidden: Cells, elevation: FloatArray, highest: float) -> tuple[tuple[float, float], ...]:
-    free = np.concatenate([[False], (hidden < 0.5) & (elevation < highest), [False]])
+def _find_openings(hidden: Cells, highest: float) -> tuple[tuple[float, float], ...]:
+    free = np.concatenate([[False], (hidden < 0.5) & (highest > _ELEVATION), [False]])
     edges = np.flatnonzero(np.diff(free.astype(int))).reshape(-1, 2)
     spans = [(round(first * _STEP_DEG, 1), round(last * _STEP_DEG, 1)) for first, last in edges.tolist()]
     return tuple(span for span in spans if span[1] - span[0] >= _OPENING_DEG)

@@ -201,7 +201,8 @@ def updated_sums(
     light = _log_light(counts, gamma=_GAMMA if image.dtype == np.uint8 else 1.0)
     coarse = _cells(cv2.resize(light, (64, 64), interpolation=cv2.INTER_AREA))
     unusable = _unusable(counts, coarse, sums, grid)
-    kept = replace(sums, last=coarse, unix_s=unix_s)
+    fading = np.float32(0.5 ** (elapsed_s / _HALF_LIFE_S))
+    kept = replace(sums, log_odds=sums.log_odds * fading, last=coarse, unix_s=unix_s)
     if unusable is not None:
         return _count_use(kept, unusable)
     texture = _fine(light, counts) * grid.inner
@@ -318,8 +319,7 @@ def _voted(
     shows_sky = clear or spread > _CLEAR_SPREAD  # in fog and under an even overcast all looks like the sky
     votes = _scores(contrast, _stillness(image.texture, sums), shows_sky=shows_sky)
     votes *= usable * np.float32(weight)
-    odds = sums.log_odds * np.float32(0.5 ** (vote * _VOTE_S / _HALF_LIFE_S))
-    odds = _added(odds, votes, most=_MOST_ODDS if clear else _MOST_CLOUDY_ODDS)
+    odds = _added(sums.log_odds, votes, most=_MOST_ODDS if clear else _MOST_CLOUDY_ODDS)
     if seen:
         odds[towards > math.cos(math.radians(0.4))] -= 4.0 * vote
     share, texture, mean = weight / (min(sums.votes, _STATIC_VOTES) + weight), sums.texture.copy(), sums.contrast.copy()
@@ -459,16 +459,14 @@ def _find_cells(grid: CellGrid, directions: FloatArray) -> tuple[tuple[IntArray,
 
 def obstruction_mask(sums: ObstructionSums, grid: CellGrid) -> ObstructionMask:
     """Return the mask: the evidence, smoothed over neighbours of like brightness by mean-field sweeps."""
-    links = [(axis, np.exp(-((np.diff(sums.contrast, axis=axis) / _EDGE) ** 2))) for axis in (0, 1)]
+    links = [np.exp(-((np.diff(one, axis=0) / _EDGE) ** 2)) for one in (sums.contrast, sums.contrast.T)]
     odds = sums.log_odds.copy()
     for _ in range(_SWEEPS):
-        belief = np.tanh(0.5 * odds)
+        belief = 2.0 * _COUPLING * np.tanh(0.5 * odds)
         odds = sums.log_odds.copy()
-        for axis, link in links:
-            before, after = (slice(None, -1), slice(1, None))
-            lower, upper = (before, after) if axis == 0 else ((slice(None), before), (slice(None), after))
-            odds[lower] += 2.0 * _COUPLING * link * belief[upper]
-            odds[upper] += 2.0 * _COUPLING * link * belief[lower]
+        for link, raised, of_others in zip(links, (odds, odds.T), (belief, belief.T), strict=True):
+            raised[:-1] += link * of_others[1:]
+            raised[1:] += link * of_others[:-1]
     odds[~grid.sky] = _MOST_ODDS
     state = np.where(odds > _CERTAIN, HIDDEN, np.where(odds < -_CERTAIN, FREE, UNKNOWN)).astype(np.uint8)
     state[_soiled(state == HIDDEN, sums.contrast, grid)] = SOILED
