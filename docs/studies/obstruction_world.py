@@ -173,22 +173,17 @@ class World:
         cover = {"clear": 0.0, "haze": 0.0, "scattered": 0.35, "broken": 0.65}.get(weather, 1.0)
         thick = self._cloud(time, cover) + (1.5 if weather == "fog" else 0.0)
         disc = 3e4 * (away < math.radians(0.27)) + 60.0 * np.exp(-away / math.radians(1.2)) / haze
-        disc = (
-            disc
-            * day
-            * (height > -0.3)
-            * np.exp(-DEPTH.get(weather, 0.0) - (2.0 if weather == "thin" else 9.0) * thick)
-        )
+        even = DEPTH.get(weather, 0.0)
+        disc = disc * day * (height > -0.3) * np.exp(-even - (2.0 if weather == "thin" else 9.0) * thick)
         lit = (1.3 + 1.5 * np.exp(-2.0 * away)) * (1.0 - 0.55 * np.clip(thick, 0.0, 1.0)) * (0.4 + 0.6 * up)
         if weather == "thin":  # as through ground glass
             lit = lit + 12.0 * np.exp(-away / 0.12) * (height > -0.3)
         if weather == "bank":  # stands over a ridge all week, with a ragged lower edge
-            lit = lit * (
-                1.0 - 0.75 / (1.0 + np.exp((self.elevation - 14.0 - 3.0 * thick) / 1.5)) * (np.cos(azimuth) > 0.3)
-            )
+            below = 1.0 / (1.0 + np.exp((self.elevation - 14.0 - 3.0 * thick) / 1.5))
+            lit = lit * (1.0 - 0.75 * below * (np.cos(azimuth) > 0.3))
         lit = lit + (clear - lit) * (1.0 - np.exp(-0.12 / up)) * (cover < 1.0)  # the air before far clouds is lit
-        veiled = clear * day * (1.0 - np.clip(1.6 * thick, 0, 1)) + lit * day * np.clip(1.6 * thick, 0, 1)
-        return np.asarray(veiled + disc + glow)
+        veil = np.clip(1.6 * thick, 0.0, 1.0) if even == 0.0 else 1.0  # an even cloud has no holes
+        return np.asarray((clear * (1.0 - veil) + lit * veil) * day + disc + glow)
 
     def _cloud(self, time: datetime, cover: float) -> Array:
         if cover == 0.0:

@@ -138,7 +138,7 @@ class ObstructionSums:
     votes: float = 0.0
     """Votes that entered the means."""
     clear_s: float = 0.0
-    """Time with the sun seen, s."""
+    """Time with the sun seen, s; before there is a mask less the time with the sun up that it was not seen."""
     seen_s: float = -math.inf
     """Last time when the sun was seen, s since 1970."""
     unix_s: float = -math.inf
@@ -331,11 +331,18 @@ def _voted(
         texture=texture,
         contrast=mean,
         votes=sums.votes + weight,
-        clear_s=sums.clear_s + vote * _VOTE_S * (seen and spread < _FAIR_SPREAD),
+        clear_s=_clear_s(sums, vote * _VOTE_S, seen=seen and spread < _FAIR_SPREAD, missed=not clear and sun[2] > 0.0),
         seen_s=sums.unix_s if seen else sums.seen_s,
         other_s=0.0,
     )
     return _count_use(found, "clear" if clear else "cloudy")
+
+
+def _clear_s(sums: ObstructionSums, voted_s: float, *, seen: bool, missed: bool) -> float:
+    """Return the time with the sun seen; before there is a mask less the time without it: bright clouds look alike."""
+    if seen:
+        return sums.clear_s + voted_s
+    return max(sums.clear_s - voted_s, 0.0) if missed and not sums.is_ready else sums.clear_s
 
 
 def _scores(contrast: Cells, still: Cells, *, shows_sky: bool) -> Cells:
