@@ -70,7 +70,7 @@ def test_days_without_the_sun_make_no_mask(weather: Weather) -> None:
     learner = Learner(World(n=SIZE, seed=3, linear=False))
     for day in range(3):
         learner.day(day, [weather], every_min=60.0)
-    assert learner.sums.missing_h > 3.5
+    assert not learner.sums.is_ready
 
 
 def test_fog_shows_neither_sky_nor_obstructions() -> None:

@@ -44,8 +44,8 @@ _STATIC = 0.05
 """Log contrast of a texture that stands still, from which on it is an obstruction's. A smooth sky has below 0.01."""
 _STATIC_VOTES = 40.0
 """Votes over which textures are averaged."""
-_AUREOLE_DEG, _DISC_DEG = 12.0, 2.5
-_SUN_RATIO, _SATURATED = 1.0, 0.98
+_AUREOLE_DEG, _DISC_DEG, _RING_DEG = 12.0, 2.5, 8.0
+_SUN_RATIO, _RING_RATIO, _SATURATED = 1.0, 0.7, 0.98
 _CLEAR_SPREAD, _CLEAR_FOR_S = 0.15, 3600.0
 """Spread of the sky's log contrast below which it is clear without the sun, so long after the sun was last seen."""
 _FAIR_SPREAD = 0.2
@@ -138,7 +138,7 @@ class ObstructionSums:
     votes: float = 0.0
     """Votes that entered the means."""
     clear_s: float = 0.0
-    """Time with the sun seen, s; before there is a mask less the time with the sun up that it was not seen."""
+    """Time with the sun seen, s; before there is a mask less half of that without it."""
     seen_s: float = -math.inf
     """Last time when the sun was seen, s since 1970."""
     unix_s: float = -math.inf
@@ -312,8 +312,10 @@ def _voted(
     towards = _cells(np.tensordot(sun.astype(np.float32), grid.directions, 1))
     contrast, spread = _contrast(image.light, sums, grid, towards)
     seen = sun_seen if sun_seen is not None else _sun_is_seen(image, grid, towards)
-    behind = sun[2] > 0.0 and float(sums.log_odds.flat[int(np.argmax(towards))]) > -1.0  # not in the open sky
-    clear = seen or (behind and spread < _CLEAR_SPREAD and sums.unix_s - sums.seen_s < _CLEAR_FOR_S)
+    odds_at_sun = float(sums.log_odds.flat[int(np.argmax(towards))])
+    clear = seen or (
+        sun[2] > 0.0 and odds_at_sun > -1.0 and spread < _CLEAR_SPREAD and sums.unix_s - sums.seen_s < _CLEAR_FOR_S
+    )
     weight = vote / (1.0 + (spread / _CLEAR_SPREAD) ** 2) ** 2 * (1.0 if clear else _CLOUDY_WEIGHT)
     usable = ((towards < math.cos(math.radians(_AUREOLE_DEG))) & (image.counts < _SATURATED)).astype(np.uint8)
     shows_sky = clear or spread > _CLEAR_SPREAD  # in fog and under an even overcast all looks like the sky
@@ -322,6 +324,7 @@ def _voted(
     odds = _added(sums.log_odds, votes, most=_MOST_ODDS if clear else _MOST_CLOUDY_ODDS)
     if seen:
         odds[towards > math.cos(math.radians(0.4))] -= 4.0 * vote
+    missed = not seen and sun[2] > 0.0 and odds_at_sun < 1.0
     share, texture, mean = weight / (min(sums.votes, _STATIC_VOTES) + weight), sums.texture.copy(), sums.contrast.copy()
     cv2.accumulateWeighted(image.texture, texture, share)
     cv2.accumulateWeighted(contrast, mean, share, mask=usable)
@@ -331,7 +334,7 @@ def _voted(
         texture=texture,
         contrast=mean,
         votes=sums.votes + weight,
-        clear_s=_clear_s(sums, vote * _VOTE_S, seen=seen and spread < _FAIR_SPREAD, missed=not clear and sun[2] > 0.0),
+        clear_s=_clear_s(sums, vote * _VOTE_S, seen=seen and spread < _FAIR_SPREAD, missed=missed),
         seen_s=sums.unix_s if seen else sums.seen_s,
         other_s=0.0,
     )
@@ -339,10 +342,10 @@ def _voted(
 
 
 def _clear_s(sums: ObstructionSums, voted_s: float, *, seen: bool, missed: bool) -> float:
-    """Return the time with the sun seen; before there is a mask less the time without it: bright clouds look alike."""
+    """Return the time with the sun seen; before there is a mask less half of that without: bright clouds look alike."""
     if seen:
         return sums.clear_s + voted_s
-    return max(sums.clear_s - voted_s, 0.0) if missed and not sums.is_ready else sums.clear_s
+    return max(sums.clear_s - 0.5 * voted_s, 0.0) if missed and not sums.is_ready else sums.clear_s
 
 
 def _scores(contrast: Cells, still: Cells, *, shows_sky: bool) -> Cells:
@@ -388,12 +391,15 @@ def _contrast(light: Cells, sums: ObstructionSums, grid: CellGrid, towards: Cell
 
 
 def _sun_is_seen(image: _CellImage, grid: CellGrid, towards: Cells) -> bool:
-    """Return whether the brightest cell about the sun's place stands above the sky: far, or saturated."""
-    near = towards > math.cos(math.radians(_DISC_DEG))
-    if not near.any():
+    """Return whether the brightest cell about the sun's place stands above the sky, and saturates or above its ring."""
+    near, wide = (towards > math.cos(math.radians(radius)) for radius in (_DISC_DEG, _RING_DEG))
+    ring = wide & ~near
+    if not near.any() or not ring.any():
         return False
-    ratio = float(image.light[near].max()) - float(np.median(image.light.ravel()[grid.sampled]))
-    return ratio > (_SUN_RATIO if image.counts[near].max() > _SATURATED else 3.5 * _SUN_RATIO)
+    peak = float(image.light[near].max())
+    if peak - float(np.median(image.light.ravel()[grid.sampled])) < _SUN_RATIO:
+        return False
+    return bool(image.counts[near].max() > _SATURATED) or peak - float(np.median(image.light[ring])) > _RING_RATIO
 
 
 def _stillness(texture: Cells, sums: ObstructionSums) -> Cells:

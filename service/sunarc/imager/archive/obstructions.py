@@ -179,11 +179,12 @@ class ObstructionLearner:
             return
         self._written_s = time.timestamp()
         if sums.is_ready:
-            before, found = self._learned, find_obstructions(sums, grid, sigma_deg=model.sky_rms_deg)
-            self._learned = LearnedObstructions(self._calibration, self._pose_epoch, time, *found)
-            if before is None:
+            is_first = self._learned is None
+            mask, horizon = find_obstructions(sums, grid, sigma_deg=model.sky_rms_deg)
+            self._learned = LearnedObstructions(self._calibration, self._pose_epoch, time, mask, horizon)
+            if is_first:
                 self._set_aside_before(time)
-            self._compare(found.mask, time)
+            self._compare(mask, time)
         write_atomically(self._path, _bytes(self._calibration, sums, self._known))
 
     def _compare(self, mask: ObstructionMask, time: datetime) -> None:
