@@ -323,7 +323,7 @@ def _voted(
     votes *= usable * np.float32(weight)
     odds = _added(sums.log_odds, votes, most=_MOST_ODDS if clear else _MOST_CLOUDY_ODDS)
     if seen:
-        odds[towards > math.cos(math.radians(0.4))] -= 4.0 * vote
+        np.subtract(odds, 4.0 * vote, out=odds, where=towards > math.cos(math.radians(0.4)))
     missed = not seen and sun[2] > 0.0 and odds_at_sun < 1.0
     share, texture, mean = weight / (min(sums.votes, _STATIC_VOTES) + weight), sums.texture.copy(), sums.contrast.copy()
     cv2.accumulateWeighted(image.texture, texture, share)
@@ -392,14 +392,15 @@ def _contrast(light: Cells, sums: ObstructionSums, grid: CellGrid, towards: Cell
 
 def _sun_is_seen(image: _CellImage, grid: CellGrid, towards: Cells) -> bool:
     """Return whether the brightest cell about the sun's place stands above the sky, and saturates or above its ring."""
-    near, wide = (towards > math.cos(math.radians(radius)) for radius in (_DISC_DEG, _RING_DEG))
-    ring = wide & ~near
-    if not near.any() or not ring.any():
+    cells = np.flatnonzero(towards > math.cos(math.radians(_RING_DEG)))
+    near = towards.ravel()[cells] > math.cos(math.radians(_DISC_DEG))
+    if not near.any() or near.all():
         return False
-    peak = float(image.light[near].max())
+    light, counts = image.light.ravel()[cells], image.counts.ravel()[cells]
+    peak = float(light[near].max())
     if peak - float(np.median(image.light.ravel()[grid.sampled])) < _SUN_RATIO:
         return False
-    return bool(image.counts[near].max() > _SATURATED) or peak - float(np.median(image.light[ring])) > _RING_RATIO
+    return bool(counts[near].max() > _SATURATED) or peak - float(np.median(light[~near])) > _RING_RATIO
 
 
 def _stillness(texture: Cells, sums: ObstructionSums) -> Cells:
