@@ -197,22 +197,22 @@ def updated_sums(
     elapsed_s = unix_s - sums.unix_s
     if not elapsed_s > 0.0:
         return _count_use(sums, "earlier")
-    counts = _reduced(image, grid.shape)
+    counts = _reduce_to_cells(image, grid.shape)
     light = _log_light(counts, gamma=_GAMMA if image.dtype == np.uint8 else 1.0)
     coarse = _cells(cv2.resize(light, (64, 64), interpolation=cv2.INTER_AREA))
-    unusable = _unusable(counts, coarse, sums, grid)
+    unusable = _find_fault(counts, coarse, sums, grid)
     fading = np.float32(0.5 ** (elapsed_s / _HALF_LIFE_S))
     kept = replace(sums, log_odds=sums.log_odds * fading, last=coarse, unix_s=unix_s)
     if unusable is not None:
         return _count_use(kept, unusable)
-    texture = _fine(light, counts) * grid.inner
+    texture = _compute_texture(light, counts) * grid.inner
     vote = min(elapsed_s, _VOTE_S) / _VOTE_S
     if _is_other_scene(texture, sums, grid):
         other_s = sums.other_s + min(elapsed_s, 3600.0)
         if other_s > _OTHER_SCENE_S:
             return _count_use(replace(no_sums(grid), last=coarse, unix_s=unix_s, counts=sums.counts), "other_scene")
         return _count_use(replace(kept, other_s=other_s), "other_scene")
-    return _voted(kept, _CellImage(counts, light, texture), grid, sun=sun, vote=vote, sun_seen=sun_seen)
+    return _vote(kept, _CellImage(counts, light, texture), grid, sun=sun, vote=vote, sun_seen=sun_seen)
 
 
 def add_star_votes(sums: ObstructionSums, grid: CellGrid, *, named: FloatArray, missed: FloatArray) -> ObstructionSums:
@@ -226,21 +226,21 @@ def add_star_votes(sums: ObstructionSums, grid: CellGrid, *, named: FloatArray, 
     missed : (m, 3) those of bright stars that were not found in clear images: hidden, where none was named near by.
     """
     free, near, hidden = (
-        cv2.dilate(_marked(grid, directions), np.ones((size, size), np.uint8)) > 0
+        cv2.dilate(_mark_cells(grid, directions), np.ones((size, size), np.uint8)) > 0
         for directions, size in ((named, 3), (named, 9), (missed, 5))
     )
     votes = _MISSED_STAR * (hidden & ~near & grid.sky) - _NAMED_STAR * free
-    return replace(sums, log_odds=_added(sums.log_odds, _cells(votes), most=_MOST_CLOUDY_ODDS))
+    return replace(sums, log_odds=_add_votes(sums.log_odds, _cells(votes), most=_MOST_CLOUDY_ODDS))
 
 
-def _added(odds: Cells, votes: Cells, *, most: float) -> Cells:
+def _add_votes(odds: Cells, votes: Cells, *, most: float) -> Cells:
     """Return log odds with votes, clipped; votes for an obstruction raise none above `most`."""
     voted = odds + votes
     np.minimum(voted, np.maximum(odds, most), out=voted)
     return np.clip(voted, -_MOST_ODDS, _MOST_ODDS, out=voted)
 
 
-def _marked(grid: CellGrid, directions: FloatArray) -> NDArray[np.uint8]:
+def _mark_cells(grid: CellGrid, directions: FloatArray) -> NDArray[np.uint8]:
     (row, column), seen = _find_cells(grid, directions)
     marked = np.zeros(grid.shape, dtype=np.uint8)
     marked[row[seen], column[seen]] = 1
@@ -259,7 +259,7 @@ def _count_use(sums: ObstructionSums, use: str) -> ObstructionSums:
     return replace(sums, counts={**sums.counts, use: sums.counts.get(use, 0) + 1})
 
 
-def _reduced(image: Image, shape: tuple[int, int]) -> Cells:
+def _reduce_to_cells(image: Image, shape: tuple[int, int]) -> Cells:
     """Return the means of cells as shares of the full scale, by halves first: a mosaic's colours are averaged."""
     cells = image
     while cells.shape[0] >= 2 * shape[0]:
@@ -277,7 +277,7 @@ def _log_light(counts: Cells, *, gamma: float) -> Cells:
     return np.float32(gamma) * np.log(np.maximum(counts, np.float32(_LEAST_COUNT)))
 
 
-def _unusable(counts: Cells, coarse: Cells, sums: ObstructionSums, grid: CellGrid) -> str | None:
+def _find_fault(counts: Cells, coarse: Cells, sums: ObstructionSums, grid: CellGrid) -> str | None:
     """Return why an image does not vote: the lens is covered, or the picture is the last one again."""
     low, high = np.quantile(counts.ravel()[grid.sampled], [0.02, 0.98])
     if high - low < _LEAST_RANGE * max(high, 0.05):
@@ -285,7 +285,7 @@ def _unusable(counts: Cells, coarse: Cells, sums: ObstructionSums, grid: CellGri
     return "frozen" if float(np.median(np.abs(coarse - sums.last))) < 1e-6 else None
 
 
-def _fine(light: Cells, counts: Cells) -> Cells:
+def _compute_texture(light: Cells, counts: Cells) -> Cells:
     """Return the fine part of the log brightness, 0 where cells saturate."""
     fine = np.clip(light - cv2.blur(light, (3, 3)), -0.5, 0.5)
     saturated = cv2.dilate((counts > _SATURATED).astype(np.uint8), np.ones((5, 5), np.uint8))
@@ -305,12 +305,12 @@ def _is_other_scene(texture: Cells, sums: ObstructionSums, grid: CellGrid) -> bo
     return bool(np.vdot(now, stored) < _OTHER_SCENE * math.sqrt(np.vdot(now, now) * np.vdot(stored, stored)))
 
 
-def _voted(
+def _vote(
     sums: ObstructionSums, image: _CellImage, grid: CellGrid, *, sun: FloatArray, vote: float, sun_seen: bool | None
 ) -> ObstructionSums:
     """Return the evidence with the votes of a usable image."""
     towards = _cells(np.tensordot(sun.astype(np.float32), grid.directions, 1))
-    contrast, spread = _contrast(image.light, sums, grid, towards)
+    contrast, spread = _measure_contrast(image.light, sums, grid, towards)
     seen = sun_seen if sun_seen is not None else _sun_is_seen(image, grid, towards)
     odds_at_sun = float(sums.log_odds.flat[int(np.argmax(towards))])
     clear = seen or (
@@ -319,9 +319,9 @@ def _voted(
     weight = vote / (1.0 + (spread / _CLEAR_SPREAD) ** 2) ** 2 * (1.0 if clear else _CLOUDY_WEIGHT)
     usable = ((towards < math.cos(math.radians(_AUREOLE_DEG))) & (image.counts < _SATURATED)).astype(np.uint8)
     shows_sky = clear or spread > _CLEAR_SPREAD  # in fog and under an even overcast all looks like the sky
-    votes = _scores(contrast, _stillness(image.texture, sums), shows_sky=shows_sky)
+    votes = _score_cells(contrast, _measure_stillness(image.texture, sums), shows_sky=shows_sky)
     votes *= usable * np.float32(weight)
-    odds = _added(sums.log_odds, votes, most=_MOST_ODDS if clear else _MOST_CLOUDY_ODDS)
+    odds = _add_votes(sums.log_odds, votes, most=_MOST_ODDS if clear else _MOST_CLOUDY_ODDS)
     if seen:
         np.subtract(odds, 4.0 * vote, out=odds, where=towards > math.cos(math.radians(0.4)))
     missed = not seen and sun[2] > 0.0 and odds_at_sun < 1.0
@@ -334,21 +334,21 @@ def _voted(
         texture=texture,
         contrast=mean,
         votes=sums.votes + weight,
-        clear_s=_clear_s(sums, vote * _VOTE_S, seen=seen and spread < _FAIR_SPREAD, missed=missed),
+        clear_s=_count_clear_s(sums, vote * _VOTE_S, seen=seen and spread < _FAIR_SPREAD, missed=missed),
         seen_s=sums.unix_s if seen else sums.seen_s,
         other_s=0.0,
     )
     return _count_use(found, "clear" if clear else "cloudy")
 
 
-def _clear_s(sums: ObstructionSums, voted_s: float, *, seen: bool, missed: bool) -> float:
+def _count_clear_s(sums: ObstructionSums, voted_s: float, *, seen: bool, missed: bool) -> float:
     """Return the time with the sun seen; before there is a mask less half of that without: bright clouds look alike."""
     if seen:
         return sums.clear_s + voted_s
     return max(sums.clear_s - 0.5 * voted_s, 0.0) if missed and not sums.is_ready else sums.clear_s
 
 
-def _scores(contrast: Cells, still: Cells, *, shows_sky: bool) -> Cells:
+def _score_cells(contrast: Cells, still: Cells, *, shows_sky: bool) -> Cells:
     """Return votes by cells: above 0 where they are dark or their texture stands still, below where they are sky."""
     dark = np.clip((-_DARK - contrast) / _DARK_WIDTH, -1.0, 1.0)
     scores = np.maximum(dark, 0.0) + still
@@ -367,7 +367,7 @@ def _sky_planes(directions: Cells, towards: Cells) -> Iterator[Cells]:
     yield 1.0 / (1.1 - towards)
 
 
-def _contrast(light: Cells, sums: ObstructionSums, grid: CellGrid, towards: Cells) -> tuple[Cells, float]:
+def _measure_contrast(light: Cells, sums: ObstructionSums, grid: CellGrid, towards: Cells) -> tuple[Cells, float]:
     """Return the log contrast to a smooth sky, fitted to cells that are not dark, and the spread about it."""
     sampled, sun_cosine = grid.directions.reshape(3, -1)[:, grid.sampled], towards.ravel()[grid.sampled]
     rows = np.stack([np.ones_like(sun_cosine), *_sky_planes(sampled, sun_cosine)], axis=-1).astype(np.float64)
@@ -403,7 +403,7 @@ def _sun_is_seen(image: _CellImage, grid: CellGrid, towards: Cells) -> bool:
     return bool(counts[near].max() > _SATURATED) or peak - float(np.median(light[~near])) > _RING_RATIO
 
 
-def _stillness(texture: Cells, sums: ObstructionSums) -> Cells:
+def _measure_stillness(texture: Cells, sums: ObstructionSums) -> Cells:
     """Return (rows, columns), 0 to 1: how surely a texture is there that stood in earlier images already."""
     if sums.votes < 0.1 * _STATIC_VOTES:
         return np.zeros_like(texture)
@@ -483,12 +483,12 @@ def obstruction_mask(sums: ObstructionSums, grid: CellGrid) -> ObstructionMask:
             raised[1:] += link * of_others[:-1]
     odds[~grid.sky] = _MOST_ODDS
     state = np.where(odds > _CERTAIN, HIDDEN, np.where(odds < -_CERTAIN, FREE, UNKNOWN)).astype(np.uint8)
-    state[_soiled(state == HIDDEN, sums.contrast, grid)] = SOILED
+    state[_find_soiled(state == HIDDEN, sums.contrast, grid)] = SOILED
     probability = (1.0 / (1.0 + np.exp(-np.clip(odds, -30.0, 30.0)))).astype(np.float32)
     return ObstructionMask(grid=grid, probability=probability, state=state)
 
 
-def _soiled(hidden: BoolArray, contrast: Cells, grid: CellGrid) -> BoolArray:
+def _find_soiled(hidden: BoolArray, contrast: Cells, grid: CellGrid) -> BoolArray:
     """Return which hidden cells are dirt on the dome: away from the rim and without a sharp border."""
     rim = ~(grid.directions[2] > math.sin(math.radians(_RIM_DEG)))
     n, labels = cv2.connectedComponents((hidden | rim).astype(np.uint8), connectivity=8)
