@@ -160,7 +160,8 @@ def test_a_bump_is_no_obstruction_and_a_crane_after_it_is_one(
             learner.take(world.bumped(image, turned[2.5]) if since_h > 0.0 else image, time)
         if k == 4:
             assert events_of(made) == []
-            hidden = learner.learned.mask.hidden() if learner.learned else np.zeros((SIZE, SIZE))
+            assert learner.learned is not None
+            hidden = learner.learned.mask.hidden()
             truth = world.bumped(world.truth(crane=False).astype(np.uint8) * 255, turned[2.5]) > 127
             sky = (world.directions @ turned[2.5].T)[..., 2] > 0.0
             assert np.sum(hidden & truth & sky) / np.sum((hidden | truth) & sky) > 0.93

@@ -131,7 +131,9 @@ def _read(given: EpochImages) -> Iterator[tuple[float, Image | None]]:
 
 def _picture(profile: HorizonProfile, grid: CellGrid) -> bytes:
     """Return a PNG of the image's size: 255 above the horizon, 0 below it, 128 outside the camera's field."""
-    state = np.where(profile.hides(np.moveaxis(grid.directions, 0, -1)), HIDDEN, FREE).astype(np.uint8)
+    state = np.where(profile.hides(np.moveaxis(grid.directions, 0, -1).astype(np.float64)), HIDDEN, FREE).astype(
+        np.uint8
+    )
     state[~grid.directions.any(axis=0)] = UNKNOWN
     return _png(cv2.resize(state, grid.size, interpolation=cv2.INTER_NEAREST))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -261,7 +261,7 @@ def _count_use(sums: ObstructionSums, use: str) -> ObstructionSums:
 
 def _reduce_to_cells(image: Image, shape: tuple[int, int]) -> Cells:
     """Return the means of cells as shares of the full scale, by halves first: a mosaic's colours are averaged."""
-    cells = image
+    cells: NDArray[Any] = image
     while cells.shape[0] >= 2 * shape[0]:
         cells = cv2.resize(cells, (cells.shape[1] // 2, cells.shape[0] // 2), interpolation=cv2.INTER_AREA)
     cells = cv2.resize(cells, shape[::-1], interpolation=cv2.INTER_AREA)
@@ -289,7 +289,7 @@ def _compute_texture(light: Cells, counts: Cells) -> Cells:
     """Return the fine part of the log brightness, 0 where cells saturate."""
     fine = np.clip(light - cv2.blur(light, (3, 3)), -0.5, 0.5)
     saturated = cv2.dilate((counts > _SATURATED).astype(np.uint8), np.ones((5, 5), np.uint8))
-    return fine * (saturated == 0)
+    return _cells(fine * (saturated == 0))
 
 
 def _is_other_scene(texture: Cells, sums: ObstructionSums, grid: CellGrid) -> bool:
@@ -355,7 +355,7 @@ def _score_cells(contrast: Cells, still: Cells, *, shows_sky: bool) -> Cells:
     if shows_sky:
         fading = np.clip((_BRIGHT + _BRIGHT_WIDTH - contrast) / _BRIGHT_WIDTH, 0.2, 1.0)
         scores += np.minimum(dark, 0.0) * fading * (1.0 - still)
-    return scores
+    return _cells(scores)
 
 
 def _sky_planes(directions: Cells, towards: Cells) -> Iterator[Cells]:
@@ -414,8 +414,8 @@ def _measure_stillness(texture: Cells, sums: ObstructionSums) -> Cells:
     energy = np.maximum(cv2.blur(stored, (3, 3)), 0.0)
     agreement = cv2.blur(now, (3, 3)) / (energy + 1e-4)
     still = np.clip(np.sqrt(energy) / _STATIC - 1.0, 0.0, 1.0) * np.clip(2.0 * agreement - 0.5, 0.0, 1.0)
-    still = cv2.erode(still, np.ones((5, 5), np.uint8))  # what the means have widened
-    return _cells(cv2.resize(still, texture.shape[::-1], interpolation=cv2.INTER_LINEAR))
+    narrowed = cv2.erode(still, np.ones((5, 5), np.uint8))  # what the means have widened
+    return _cells(cv2.resize(narrowed, texture.shape[::-1], interpolation=cv2.INTER_LINEAR))
 
 
 # The mask of the evidence.
@@ -440,7 +440,7 @@ class ObstructionMask:
         for value in (UNKNOWN, SOILED):
             holds = cv2.resize((self.state == value).astype(np.uint8), self.grid.size, interpolation=cv2.INTER_NEAREST)
             state[holds > 0] = value
-        return state
+        return np.asarray(state, dtype=np.uint8)
 
     def hidden(self) -> BoolArray:
         """Return (height, width): which pixels do not show the sky, dirt on the dome with them."""

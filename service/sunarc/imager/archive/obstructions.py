@@ -252,7 +252,8 @@ def _read(path: Path) -> tuple[str, ObstructionSums | None, _KnownStates | None]
         with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
             plain: dict[str, Any] = json.loads(str(stored["plain"]))
             arrays = {name: stored[name].astype(np.float32) for name in _ARRAYS}
-            known = _KnownStates(*stored["known"], plain.pop("known_s")) if "known" in stored else None
+            pair = stored.get("known")
+        known = None if pair is None else _KnownStates(pair[0], pair[1], float(plain.pop("known_s")))
         calibration = str(plain.pop("calibration"))
         sums = replace(ObstructionSums(**arrays), **plain)
         whole = sums.log_odds.shape == sums.texture.shape == sums.contrast.shape
