@@ -31,6 +31,7 @@ from sunarc.optics.forward import project
 from sunarc.optics.pose import pose_angles
 from sunarc.public.star_files import StarImage, StarOptions, find_stars_blind
 from sunarc.sky.directions import direction_from_angles
+from sunarc.sky.night import NightSky
 from sunarc.sky.site import Site
 from sunarc.sources.detect_files import detect_in_image
 from sunarc.sources.files import read_image
@@ -113,6 +114,7 @@ SUNS = {
 }
 """Folders of pictures of the day and, of indi-allsky, of the night: no sun is in them."""
 _LABEL = re.compile(r"sunrow(\d+)_suncol(\d+)")
+_MARKED_V = 3.3
 _LABEL_PX, _RIGHT_SIGMAS, _RIGHT_TILT_DEG = 2.0, 2.5, 0.3
 """1-sigma of a label by hand; distance from it in sigmas, and tilt from others', up to which a place is right."""
 
@@ -136,7 +138,7 @@ def night_row(night: Night, folder: Path, work: Path) -> tuple[str, StarImage | 
         tilt = pose_angles(result.calibration.camera.rotation_cam_enu).theta_zz_deg
         right = "yes" if abs(tilt - night.tilt_deg) < _RIGHT_TILT_DEG else f"no: tilt {tilt:.1f}"
     if result.accepted and result.calibration is not None and night.marks is not None:
-        apart = _from_marks(folder / night.marks, result.calibration.camera, night.reduced)
+        apart = _from_marks(folder / night.marks, result.calibration.camera, one.sky, night.reduced)
         right = f"{'yes' if apart < _RIGHT_SIGMAS * _LABEL_PX else 'no'}: {apart:.1f} px"
     detected = 0 if one.stars is None else len(one.stars)
     verdict = result.start.findings if result.calibration is None else result.calibration.verdict.findings
@@ -155,8 +157,13 @@ def _raw(source: Path) -> NDArray[np.uint16] | None:
     return np.frombuffer(content, "<u2", count=rows * columns, offset=66).reshape(rows, columns).copy()
 
 
-def _from_marks(script: Path, camera: Camera, reduced: int) -> float:
-    """Return the median distance of a camera's stars from where others marked them, px of the whole picture."""
+def _from_marks(script: Path, camera: Camera, sky: NightSky | None, reduced: int) -> float:
+    """Return the median distance of a camera's stars from where others marked them, px of the whole picture.
+
+    The directions beside the marks are of a minute and a half before the picture: the bright star next to each counts.
+    """
+    if sky is None:
+        return math.nan
     text = script.read_text()
 
     def column(name: str) -> NDArray[np.float64]:
@@ -166,9 +173,12 @@ def _from_marks(script: Path, camera: Camera, reduced: int) -> float:
         return np.array([sum(float(number) / float(of or 1) for number, of in one) for one in parts])
 
     directions = direction_from_angles(zenith_deg=90.0 - column("starAlt"), azimuth_deg=column("starAz"))
-    there = reduced * (project(camera, directions) + 0.5) - 0.5
+    bright = sky.directions[sky.magnitude < _MARKED_V]
+    near = directions @ bright.T
+    found = near.max(axis=-1) > math.cos(math.radians(1.0))
+    there = reduced * (project(camera, bright[near.argmax(axis=-1)]) + 0.5) - 0.5
     marked = np.stack([column("starCol"), column("starRow")], axis=-1) - 1.0
-    return float(np.nanmedian(np.hypot(*(there - marked).T)))
+    return float(np.nanmedian(np.hypot(*(there - marked)[found].T)))
 
 
 def sun_row(name: str, folder: Path, into: Path | None) -> str:
