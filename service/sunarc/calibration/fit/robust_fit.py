@@ -1,8 +1,7 @@
 """Robust fit: directions, priors, a redescending loss, and a field for the errors that the model does not have.
 
 Each round weighs the sightings by the residuals of the last one, gathers them into bins, finds the most probable
-scales, and solves with the field marginalised. The first round lets the field be large, so that the noise is measured
-from residuals that no smooth error explains.
+scales, and solves with the field marginalised.
 
 Errors that many sightings share are blocks of unknowns, see `effects`. Where the sightings do not prove one, the camera
 is the one that fits without it: its possible effect is then in the covariance alone.
@@ -73,9 +72,8 @@ from sunarc.common.robust_statistics import (
 from sunarc.optics.camera import Camera
 from sunarc.optics.displacement import WaveBasis
 
-_ROUNDS = 5
+_ROUNDS = 4
 _PASSES = 3
-_FIRST_FIELD_PX = 1.0
 _FEW_PER_UNKNOWN = 5
 """Sightings for each unknown below which the fit has taken up more of their noise than can be passed over."""
 
@@ -231,42 +229,27 @@ def _rounds(
 
     The mean of a field that is more probable than none is part of the prediction (decision 0008).
     """
-    state = _begin(problem, observed, plain, grid, groups)
+    state = _round(problem, observed, grid, groups, plain, scatter=problem.residuals(plain, observed))
     for _ in range(1, _ROUNDS):
-        state = _improved(state)
+        state = _round(problem, observed, grid, groups, state.unknowns, scatter=state.scatter, leverage=state.leverage)
         if state.gain <= 0.0:
             break  # where a round does not move the camera, a further one changes nothing
     return state
 
 
-def _begin(
-    problem: FitProblem, observed: Sightings, plain: FloatArray, grid: HyperparameterGrid, groups: NoiseGroups
+def _round(
+    problem: FitProblem,
+    observed: Sightings,
+    grid: HyperparameterGrid,
+    groups: NoiseGroups,
+    unknowns: FloatArray,
+    *,
+    scatter: FloatArray,
+    leverage: FloatArray | None = None,
 ) -> FitState:
-    """Return the state of a camera with a large field that explains the rest."""
-    scales = PriorScales(_FIRST_FIELD_PX, float(grid.lengths[0]), LOOSE_RADIAL_PX, LOOSE_DECENTERING_PX)
-    residuals = problem.residuals(plain, observed)
-    noise = measured_noise(residuals, observed, groups)
-    system = linear_system(problem, observed, groups.bins, plain, information=noise.information, basis=grid.basis)
-    marginal = marginal_fit(system.normal(), system.basis, scales)
-    explained = system.rows @ (marginal.unknowns - system.at) + system.basis_values @ marginal.coefficients.T
-    return FitState(
-        problem=problem,
-        observed=observed,
-        groups=groups,
-        grid=grid,
-        unknowns=plain,
-        scales=scales,
-        noise=noise,
-        last_round=system,
-        scatter=residuals - explained[groups.bins.member],
-    )
-
-
-def _improved(state: FitState) -> FitState:
-    """Return the state after a solve with the noise of its residuals, and the most probable scales."""
-    problem, observed, grid, bins = state.problem, state.observed, state.grid, state.groups.bins
-    noise = measured_noise(state.scatter, observed, state.groups, leverage=state.leverage)
-    system = linear_system(problem, observed, bins, state.unknowns, information=noise.information, basis=grid.basis)
+    """Return the state after a solve from some unknowns with the noise of a scatter, and the most probable scales."""
+    noise, bins = measured_noise(scatter, observed, groups, leverage=leverage), groups.bins
+    system = linear_system(problem, observed, bins, unknowns, information=noise.information, basis=grid.basis)
     log_weight = log_weights(system.normal(), grid)
     scales = likely_scales(normalised(log_weight), grid)
     found = most_probable_with_field(problem, system, scales)
@@ -277,8 +260,11 @@ def _improved(state: FitState) -> FitState:
         which = few | np.any(there.rows[..., problem.block_slice("night_pose")] != 0.0, axis=(1, 2))
         leverage = compute_leverage(there, there.normal(), found.fit, scales, which=which)[bins.member]
     smooth = (system.basis_values @ found.fit.coefficients.T)[bins.member]
-    return replace(
-        state,
+    return FitState(
+        problem=problem,
+        observed=observed,
+        groups=groups,
+        grid=grid,
         unknowns=found.unknowns,
         scales=scales,
         noise=noise,
