@@ -27,10 +27,6 @@ _FEW = 600
 """Sightings, at least, on which the starts converge, of more: they only lead to a local minimum."""
 _FEWER = 300
 """Sightings, at least, of more, that plain least squares begins with."""
-_THINNED = (1, 2, 3)
-"""Every first, second and third of them: subsets in which an episode of outliers weighs differently."""
-_FOCAL_STEPS = (-0.5, 0.5)
-"""Further focal lengths, in prior sigmas: 15 % shorter and longer where no image circle is known."""
 _SETTLING = 3
 _SAME_SIGMAS = 0.01
 """Starts that image no sighting further apart, in sigmas of the inliers, are one. With 0.3 such went lost as differ in
@@ -42,8 +38,6 @@ _SETTLED = 1e-5
 _CENTRAL_SHARE = 0.5
 _LOOSENED = 1e-4
 """Prior precisions of plain least squares: the paper's method has no prior."""
-_FIXED = 1e8
-"""Prior precision of the parameters that a stage leaves out: 1e-4 of the prior's sigma."""
 
 
 def best_start(problem: FitProblem, observed: Sightings, start: FloatArray, *, precision: FloatArray) -> FloatArray:
@@ -57,18 +51,9 @@ def best_start(problem: FitProblem, observed: Sightings, start: FloatArray, *, p
     precision : (p,) prior precisions of the unknowns.
     """
     few = observed.select(slice(None, None, max(len(observed) // _FEW, 1)))
-    starts = _ransac_starts(problem, observed, start, precision)
-    # least squares from an ideal lens: thinned, from other focal lengths, and in stages
-    fewer, plain = few.select(slice(None, None, max(len(few) // _FEWER, 1))), undistorted(start)
-    thinned = [fewer.select(slice(None, None, step)) for step in _THINNED]
-    starts += [least_squares(problem, some, plain, tolerance=_NEAR) for some in thinned]
-    for step in _FOCAL_STEPS:
-        other = plain.copy()
-        other[Whitened.FOCAL_LENGTH] += step
-        starts.append(least_squares(problem, fewer, other, tolerance=_NEAR))
-    for held in _STAGES:
-        plain = least_squares(problem, fewer, plain, tolerance=_NEAR, held=held)
-    starts.append(plain)
+    fewer = few.select(slice(None, None, max(len(few) // _FEWER, 1)))
+    of_ideal_lens = least_squares(problem, fewer, undistorted(start), tolerance=_NEAR)
+    starts = [*_ransac_starts(problem, observed, start, precision), of_ideal_lens]
     for _ in range(_SETTLING):
         # those that have come to one place go on as one
         distinct = distinct_starts(problem, few, starts)
@@ -76,27 +61,13 @@ def best_start(problem: FitProblem, observed: Sightings, start: FloatArray, *, p
     return lowest(problem, observed, distinct_starts(problem, few, starts), precision=precision)
 
 
-_STAGES = ((RADIAL, DECENTERING), (DECENTERING,), ())
-"""Parts of the lens that are held in the paper's three stages (section 4.2): all at once, a distorted lens at a wrong
-tilt is a local minimum on a tilted camera's short arc."""
-
-
 def least_squares(
-    problem: FitProblem,
-    observed: Sightings,
-    start: FloatArray,
-    *,
-    tolerance: float = 1e-6,
-    held: tuple[slice, ...] = (),
+    problem: FitProblem, observed: Sightings, start: FloatArray, *, tolerance: float = 1e-6
 ) -> FloatArray:
-    """Return the unknowns (p,) of least squares over all sightings, none weighted down, hardly any prior.
-
-    `held` are parts of the lens that do not move.
-    """
-    precision = loosened(problem)
-    for part in held:
-        precision[part] = _FIXED
-    return most_probable(problem, observed, start, precision=precision, iterations=25, tolerance=tolerance).unknowns
+    """Return the unknowns (p,) of least squares over all sightings, none weighted down, hardly any prior."""
+    return most_probable(
+        problem, observed, start, precision=loosened(problem), iterations=25, tolerance=tolerance
+    ).unknowns
 
 
 def loosened(problem: FitProblem) -> FloatArray:
