@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from sunarc.common.findings import Finding
+from sunarc.imager.runtime.status import ClockStatus
 from sunarc.optics.forward import project
 from sunarc.sky.days import solar_date
 from sunarc.sky.directions import angles_from_direction
@@ -104,8 +105,33 @@ def test_residuals_are_sighting_minus_the_current_calibration(made: Made) -> Non
         assert 7.0 < residual["distance_px"] / residual["distance_deg"] < 15.5  # px per degree, the lens's range
     newest = next(point for point in told["sun_points"] if point["accepted"])
     expected = made.client.get("/v1/sun", params={"at": newest["time"], "calibration": "second"}).json()
-    assert newest["residual"]["sigma_px"] == pytest.approx(math.hypot(newest["sigma_px"], expected["sigma_px"]), 1e-6)
+    sigma_px, clock_px = math.hypot(newest["sigma_px"], expected["sigma_px"]), newest["clock_error_s"] * speed_px_s(made)
+    assert newest["residual"]["sigma_px"] == pytest.approx(math.hypot(sigma_px, clock_px), 1e-5)
     assert newest["residual"]["sigma_px"] > newest["sigma_px"]
+
+
+def speed_px_s(made: Made) -> float:
+    """Return the speed of the sun's image at noon, px/s, from its places 8 s before and after."""
+    around = made.noon.timestamp() + np.array([-8.0, 8.0])
+    return float(np.hypot(*np.diff(project(made.lens, sun_directions(around, made.site)), axis=0)[0]) / 16.0)
+
+
+def test_a_clock_that_may_be_wrong_by_16_s_widens_the_pixel_that_is_expected_now(made: Made) -> None:
+    exact = made.client.get("/v1/sun", params={"at": made.noon.isoformat()}).json()
+    made.board.note(clock=ClockStatus(synchronised=False, max_error_s=16.0))
+    now = made.client.get("/v1/sun").json()
+    assert now["pixel"] == exact["pixel"]
+    assert now["sigma_px"] == pytest.approx(math.hypot(exact["sigma_px"], 16.0 * speed_px_s(made)), rel=0.005)
+    assert 0.5 < now["sigma_px"] < 5.0
+    at = made.client.get("/v1/sun", params={"at": made.noon.isoformat()}).json()
+    assert at["sigma_px"] == exact["sigma_px"]  # whoever gives a time has a clock of his own
+
+
+def test_a_sighting_of_a_doubtful_clock_has_a_residual_of_that_doubt(made: Made) -> None:
+    newest = next(one for one in made.archive.sightings.find("roof", newest_first=True) if one.accepted)
+    made.archive.sightings.replace([replace(newest, clock_error_s=16.0)])
+    told = made.client.get("/v1/sun-points", params={"residuals": True, "accepted": True, "limit": 1}).json()
+    assert told["sun_points"][0]["residual"]["sigma_px"] == pytest.approx(16.0 * speed_px_s(made), rel=0.01)
 
 
 def test_stars_are_listed_by_name_with_residuals_of_their_own_directions(made: Made) -> None:

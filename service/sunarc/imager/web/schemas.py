@@ -265,7 +265,11 @@ class Sun(BaseModel):
         description="Apparent direction, unit vector, east-north-up.", examples=[[0.01, -0.312, 0.95]]
     )
     pixel: Pair | None = Field(description="Expected x, y in px; null when there is none.", examples=[[871.96, 883.0]])
-    sigma_px: float | None = Field(description="1-sigma per axis of the expected pixel, px.", examples=[0.04])
+    sigma_px: float | None = Field(
+        description="1-sigma per axis of the expected pixel, px; without `at` with the error of the clock that says "
+        "what time is now.",
+        examples=[0.04],
+    )
     inside: bool = Field(
         description="Whether the expected pixel is within the image and the camera's field.", examples=[True]
     )
@@ -293,7 +297,7 @@ class Residual(BaseModel):
     distance_px: float = Field(description="Their distance, px.", examples=[0.025])
     distance_deg: float | None = Field(description="The angle between them on the sky, degrees.", examples=[0.0024])
     sigma_px: float | None = Field(
-        description="1-sigma per axis of x_px and y_px, by the sighting and the calibration, px; null where not known.",
+        description="1-sigma per axis of x_px and y_px, by the sighting, its clock and the calibration, px; null where not known.",
         examples=[0.05],
     )
     apparent_zenith: float = Field(description="Where the sun stood, degrees.", examples=[18.2])

@@ -12,6 +12,7 @@ from fastapi import APIRouter, Query, Request
 
 from sunarc.calibration.answers.covariance import sigma_px, sun_with_covariance
 from sunarc.calibration.model.result import Calibration
+from sunarc.common.array_types import FloatArray
 from sunarc.common.utc import utc_time
 from sunarc.imager.archive.values import SunPoint, field_values
 from sunarc.imager.runtime.json_fields import SolarDate
@@ -19,16 +20,19 @@ from sunarc.imager.web.context import ApiContext
 from sunarc.imager.web.parameters import BY_CALIBRATION, At, Cursor, Since, Until, page_at, row_limit
 from sunarc.imager.web.problems import answers
 from sunarc.imager.web.schemas import Residual, SightingsByDay, Sun, SunPoints, SunPointWithResidual, SunTrack
-from sunarc.optics.camera import camera_sees
+from sunarc.optics.camera import Camera, camera_sees
 from sunarc.optics.forward import project
 from sunarc.optics.inverse import unproject
 from sunarc.sky.days import day_bounds_unix_s, solar_date
 from sunarc.sky.directions import angles_from_direction, angular_distance, direction_from_angles
 from sunarc.sky.night import SOLAR_SYSTEM_BODIES, STAR, SUN, body_directions
+from sunarc.sky.site import EARTH_RATE, Site, pole_enu
 from sunarc.sky.sun import sun_angles, sun_directions
 
 _HORIZON_DEG = 90.0
 _ALL = "all"
+_SPEED_OVER_RAD = 1e-3
+"""Rotation over which the speed of an image is taken, radians: its path is straight to a thousandth of its length."""
 _NAMES = rf"^({SUN}|{'|'.join(SOLAR_SYSTEM_BODIES)}|{STAR}\d{{1,6}}|{_ALL})$"
 _DAYS, _MOST_DAYS = 30, 366
 """Of counts by day: unless asked, and at most: a year has a million looks, which are counted in seconds."""
@@ -138,7 +142,9 @@ def _sun(context: ApiContext, time: datetime, *, past: datetime | None) -> Sun:
         measured = site != context.site
         pixels, covariance = sun_with_covariance(answering[1], direction[None], site=site, measured=measured)
         if np.all(np.isfinite(pixels)):
-            pixel, sigma = pixels[0].tolist(), float(sigma_px(covariance)[0])
+            speed = _sky_speed_px_s(answering[1].camera, direction[None], site)
+            clock_px = 0.0 if past else _clock_error_s(context) * float(speed[0])
+            pixel, sigma = pixels[0].tolist(), math.hypot(float(sigma_px(covariance)[0]), clock_px)
             inside = bool(camera_sees(answering[1].camera, pixels)[0])
     return Sun(
         time=time,
@@ -151,6 +157,19 @@ def _sun(context: ApiContext, time: datetime, *, past: datetime | None) -> Sun:
         inside=inside,
         calibration=None if answering is None else answering[0].id,
     )
+
+
+def _clock_error_s(context: ApiContext) -> float:
+    """Return the bound of the error of the clock that says what time is now, s; 0 where it is not known."""
+    clock = context.status().clock
+    return 0.0 if clock is None or clock.max_error_s is None else clock.max_error_s
+
+
+def _sky_speed_px_s(camera: Camera, directions: FloatArray, site: Site) -> FloatArray:
+    """Return how fast the earth's rotation moves the images of directions (n, 3), px/s (n,); 0 beyond the field."""
+    turned = directions - _SPEED_OVER_RAD * np.cross(pole_enu(site), directions)
+    moved = project(camera, turned / np.linalg.norm(turned, axis=1, keepdims=True)) - project(camera, directions)
+    return np.nan_to_num(np.hypot(*moved.T)) * (EARTH_RATE / _SPEED_OVER_RAD)
 
 
 def compute_sun_track(context: ApiContext, day: date, *, step_s: int, past: datetime | None = None) -> SunTrack:
@@ -205,7 +224,9 @@ def _residuals(calibration: Calibration, context: ApiContext, points: Sequence[S
     measured = bool(np.all(np.isfinite(temperature + pressure)))
     _, covariance = sun_with_covariance(calibration, directions, site=context.site, measured=measured)
     own = np.array([np.nan if point.sigma_px is None else point.sigma_px for point in points])
-    sigma = np.hypot(own, sigma_px(covariance)).tolist()
+    clock_s = np.array([point.clock_error_s or 0.0 for point in points])
+    clock_px = clock_s * _sky_speed_px_s(calibration.camera, directions, context.site)
+    sigma = np.sqrt(own**2 + sigma_px(covariance) ** 2 + clock_px**2).tolist()
     off_deg = np.degrees(angular_distance(unproject(calibration.camera, observed), directions))
     return [
         None
