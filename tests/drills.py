@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -217,6 +218,8 @@ def night(stage: Stage) -> None:
     stage.archive.nights.save(judged("2013-05-13", at=midnight + timedelta(hours=6), findings=why, **numbers))
     stage.running()
     stage.now = midnight + timedelta(hours=1)
+    stage.board.note(last_frame_at=stage.now - timedelta(minutes=8))
+    stage.others["observes_stars"] = True
 
 
 def auckland(stage: Stage) -> None:
@@ -261,8 +264,9 @@ class Seen(NamedTuple):
     wrong: list[str]
 
 
-def look(chromium: Browser, name: str, into: Path) -> list[Seen]:
-    """Return what a drill shows at each width, and take its pictures."""
+@contextmanager
+def served(name: str) -> Iterator[str]:
+    """Serve a drill; give its address."""
     with TemporaryDirectory() as folder:
         archive = new_archive(Path(folder) / "drill.sqlite")
         clock_of_host = VirtualClock(NOON - HOURS)
@@ -271,9 +275,14 @@ def look(chromium: Browser, name: str, into: Path) -> list[Seen]:
         clock_of_host.advance(HOURS.total_seconds())
         DRILLS[name](stage)
         with serving_app(stage.app()) as address:
-            seen = [_page(chromium, address, width, into / f"{name}-{width}.png") for width in WIDTHS]
+            yield address
         archive.close()
-    return seen
+
+
+def look(chromium: Browser, name: str, into: Path) -> list[Seen]:
+    """Return what a drill shows at each width, and take its pictures."""
+    with served(name) as address:
+        return [_page(chromium, address, width, into / f"{name}-{width}.png") for width in WIDTHS]
 
 
 def _page(chromium: Browser, address: str, width: int, target: Path) -> Seen:

@@ -88,7 +88,7 @@ def test_the_first_hours_on_the_page(new: Made) -> None:
         page = first.page
         page.wait_for_selector(FIRST, timeout=30_000)
         page.wait_for_selector("#first-checks >> text=36.60° N", timeout=30_000)
-        page.wait_for_selector("#first-facts >> text=no image was taken", timeout=30_000)
+        page.wait_for_selector("#first-facts >> text=none of them was evaluated for the sun yet", timeout=30_000)
         assert "clock: synchronised" in page.inner_text("#first-checks")
         # the day ends at midnight of local mean solar time, 97.485 degrees west: at 6:30 UTC
         assert "evaluated at 2013-05-14 06:29" in fact(page, "First full fit")

@@ -153,3 +153,10 @@ def test_the_status_has_the_pose_in_words_and_angles_and_the_sites_zone(make: An
     assert told["pose"]["theta_zz_deg"] == pytest.approx(angles.theta_zz_deg)
     assert told["pose"]["text"] == pose_text(LENS)
     assert make(history="empty").client.get("/v1/status").json()["pose"] is None
+
+
+def test_the_sky_now_is_the_sun_by_day_and_says_when_it_is_next(made: Made) -> None:
+    by_day = made.client.get("/v1/status").json()["sky"]
+    sun = made.client.get("/v1/sun").json()
+    assert by_day["sun_elevation_deg"] == 90.0 - sun["apparent_zenith"]
+    assert (by_day["observed"], by_day["sun_from"], by_day["stars_from"]) == ("sun", "2013-05-13T18:30:00Z", None)

@@ -105,7 +105,10 @@ def test_residuals_are_sighting_minus_the_current_calibration(made: Made) -> Non
         assert 7.0 < residual["distance_px"] / residual["distance_deg"] < 15.5  # px per degree, the lens's range
     newest = next(point for point in told["sun_points"] if point["accepted"])
     expected = made.client.get("/v1/sun", params={"at": newest["time"], "calibration": "second"}).json()
-    sigma_px, clock_px = math.hypot(newest["sigma_px"], expected["sigma_px"]), newest["clock_error_s"] * speed_px_s(made)
+    sigma_px, clock_px = (
+        math.hypot(newest["sigma_px"], expected["sigma_px"]),
+        newest["clock_error_s"] * speed_px_s(made),
+    )
     assert newest["residual"]["sigma_px"] == pytest.approx(math.hypot(sigma_px, clock_px), 1e-5)
     assert newest["residual"]["sigma_px"] > newest["sigma_px"]
 

@@ -128,7 +128,10 @@ def test_a_worse_fit_is_refused_kept_and_served_to_nobody(
     assert kept.state == "refused"
     assert kept.parent == first.calibration
     assert kept.findings[0].code == "direction_sigma_increased"
-    assert archive.events.find("roof")[0].kind == "refit_refused"
+    told = archive.events.find("roof")[0]
+    assert told.kind == "refit_refused"
+    assert told.findings[0].data["served"] == f"the calibration of {current.created_at:%d %b %Y} is still served"
+    assert told.text.startswith("the calibration of ")
 
 
 def test_a_pinned_calibration_stays_and_the_better_one_waits_as_a_candidate(

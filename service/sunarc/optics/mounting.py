@@ -10,7 +10,8 @@ from sunarc.optics.camera import Camera
 from sunarc.optics.inverse import unproject
 from sunarc.optics.pose import pose_angles
 
-_POINTS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
+COMPASS_POINTS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
+"""The eight points of the compass, clockwise."""
 _LEVEL_DEG = 0.05
 """Tilt that rounds to 0.0 degrees: its direction is not stated."""
 
@@ -26,7 +27,7 @@ def top_azimuth_deg(camera: Camera) -> float:
 
 def compass_point(azimuth_deg: float) -> str:
     """Return the nearest of the eight points of the compass, as "south-west"."""
-    return _POINTS[round(azimuth_deg / 45.0) % len(_POINTS)]
+    return COMPASS_POINTS[round(azimuth_deg / 45.0) % len(COMPASS_POINTS)]
 
 
 def pose_text(camera: Camera) -> str:

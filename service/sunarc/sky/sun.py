@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sunarc.common.array_types import FloatArray
+from sunarc.common.array_types import BoolArray, FloatArray
+from sunarc.common.utc import DAY_S
 from sunarc.sky.directions import direction_from_angles
 from sunarc.sky.ephemeris import geocentric, terrestrial_minus_universal_s
 from sunarc.sky.refraction import true_elevation_refraction_deg
@@ -23,6 +24,10 @@ SOLAR_RADIUS = math.radians(0.2666)
 DARK_ZENITH_DEG = 102.0
 """The sun's apparent zenith angle from which on it is night, degrees: the end of nautical twilight."""
 
+_STEP_S = 300.0
+"""Seconds in which the sun does not both pass a zenith angle and come back, but where it only grazes it."""
+_LONGEST_NIGHT_DAYS = 200.0
+"""More than the night of a pole."""
 _POLAR_RADIUS = 0.99664719
 """Of the earth, in its equatorial ones."""
 _EARTH_RADIUS_M = 6_378_140.0
@@ -100,6 +105,38 @@ def sun_directions(
     """
     angles = sun_angles(unix_s, site, temperature=temperature, pressure=pressure)
     return direction_from_angles(zenith_deg=angles.apparent_zenith, azimuth_deg=angles.azimuth)
+
+
+def next_sun_unix_s(unix_s: float, site: Site, *, zenith_deg: float, rising: bool) -> float:
+    """Return the first moment from a time on at which the sun stands above a zenith angle, or below it.
+
+    Parameters
+    ----------
+    unix_s : seconds since 1970-01-01 UTC.
+    site : the place and its air.
+    zenith_deg : apparent zenith angle, degrees.
+    rising : the sun is to stand above it (a smaller zenith angle); False: below it, or at it.
+
+    Returns
+    -------
+    Seconds since 1970-01-01 UTC, to a second; NaN where that does not happen within 200 days.
+    """
+
+    def holds(times: FloatArray) -> BoolArray:
+        return np.asarray((sun_angles(times, site).apparent_zenith < zenith_deg) == rising)
+
+    for days in (2.0, _LONGEST_NIGHT_DAYS):
+        times = unix_s + np.arange(0.0, days * DAY_S, _STEP_S)
+        found = np.flatnonzero(holds(times))
+        if found.size:
+            break
+    else:
+        return math.nan
+    first = int(found[0])
+    if first == 0:
+        return unix_s
+    seconds = times[first - 1] + np.arange(_STEP_S + 1.0)
+    return float(seconds[np.argmax(holds(seconds))])
 
 
 def hour_angle(unix_s: ArrayLike, site: Site) -> FloatArray:

@@ -200,6 +200,8 @@ def _new_web_server(service: Service, *, on_started: Callable[[], None]) -> Serv
         images=service.images,
         timezone=service.settings.site.timezone,
         is_replay=service.settings.is_replay,
+        sun_zenith_deg=service.settings.capture.sun_zenith_deg,
+        observes_stars=service.settings.night.enabled,
         moves=service.move_pictures,
         obstructions=service.obstructions,
         pictures=service.pictures,

@@ -184,6 +184,8 @@ def create_app(
     images: ImageStore | None = None,
     timezone: str = "UTC",
     is_replay: bool = False,
+    sun_zenith_deg: float = 90.0,
+    observes_stars: bool = False,
     moves: MovePictures | None = None,
     obstructions: ObstructionLearner | None = None,
     pictures: PictureList | None = None,
@@ -202,6 +204,8 @@ def create_app(
     images : the composites; None without them.
     timezone : IANA name of the zone whose local times are shown with those in UTC.
     is_replay : whether the frames' clock is that of a replay or of a simulation.
+    sun_zenith_deg : images show the sun while its apparent zenith angle is below this, degrees.
+    observes_stars : whether the stars are observed while it is dark.
     moves : the pictures before and after moves; None without them.
     obstructions : the mask that the images have shown; None where no images are seen.
     pictures : lists the pictures of a source that are not among `images`; None without them.
@@ -219,6 +223,8 @@ def create_app(
         images=images,
         timezone=timezone,
         is_replay=is_replay,
+        sun_zenith_deg=sun_zenith_deg,
+        observes_stars=observes_stars,
         moves=moves,
         obstructions=obstructions,
         pictures=pictures,

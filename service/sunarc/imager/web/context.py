@@ -183,6 +183,7 @@ class ApiContext:
     """The collaborators of one application (see `create_app`).
 
     `timezone` and `is_replay` are for displays: the zone of local times, and whether the frames' clock is a replay's.
+    `sun_zenith_deg` and `observes_stars` say when images show the sun, and whether stars are observed in the dark.
     `chosen` is the calibration that a request asks to be answered with: an id, or "best"; None for the one of the time.
     `scope` is that of a request for another time than now: what answers it is noted there (`Boundary`).
     """
@@ -208,6 +209,8 @@ class ApiContext:
     chosen: str | None = None
     timezone: str = "UTC"
     is_replay: bool = False
+    sun_zenith_deg: float = 90.0
+    observes_stars: bool = False
     scope: MutableMapping[str, Any] | None = field(default=None, repr=False)
 
     def of(self, request: Request) -> ApiContext:

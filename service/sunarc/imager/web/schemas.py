@@ -297,7 +297,8 @@ class Residual(BaseModel):
     distance_px: float = Field(description="Their distance, px.", examples=[0.025])
     distance_deg: float | None = Field(description="The angle between them on the sky, degrees.", examples=[0.0024])
     sigma_px: float | None = Field(
-        description="1-sigma per axis of x_px and y_px, by the sighting, its clock and the calibration, px; null where not known.",
+        description="1-sigma per axis of x_px and y_px, by the sighting, its clock and the calibration, px; null where "
+        "not known.",
         examples=[0.05],
     )
     apparent_zenith: float = Field(description="Where the sun stood, degrees.", examples=[18.2])
@@ -363,11 +364,28 @@ class Pose(BaseModel):
     top_azimuth_deg: Annotated[float, described("Azimuth at the top of the image, degrees.", 214.0)]
 
 
+Observed = Literal["sun", "stars", "nothing"]
+
+
 class ObstructionsShown(BaseModel):
     """The learned mask of `/v1/masks/obstructions`."""
 
     time: Time
     hidden_share: Annotated[float, described("Share of the sky above the horizon that is hidden, 0 to 1.", 0.08)]
+
+
+class SkyNow(BaseModel):
+    """The sun at the frames' time, what is observed then, and when the sun or the stars are next."""
+
+    sun_elevation_deg: Annotated[float, described("Apparent elevation; below the horizon negative, degrees.", -34.1)]
+    observed: Annotated[Observed, described("The sun, the stars of a dark sky where `night.enabled`, or nothing.")]
+    sun_from: Annotated[
+        Time | None,
+        described("From when on images can show the sun; null where it does not rise within 200 days.", EXAMPLE_TIME),
+    ]
+    stars_from: Annotated[
+        Time | None, described("The same of the stars; null also where they are not observed.", EXAMPLE_TIME)
+    ]
 
 
 class Status(BaseModel):
@@ -384,6 +402,7 @@ class Status(BaseModel):
     started_at: Time
     frame_time: Time = Field(description="The current time of the frames' clock.")
     is_replay: Annotated[bool, described("Whether that clock is of a replay or simulation, not the present.", False)]
+    sky: SkyNow
     timezone: Annotated[str, described("IANA name of the site's zone, `site.timezone`.", "Pacific/Auckland")]
     workers: Annotated[tuple[WorkerStatus, ...], described("The service's threads, in the order of their names.")]
     camera: Annotated[CameraStatus | None, described("The camera as it last answered; null before it did.")]

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
+from datetime import datetime
 from http import HTTPStatus
 
 from fastapi import APIRouter, Request
 from fastapi.responses import JSONResponse, Response
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_latest
 
+from sunarc.common.utc import utc_time
 from sunarc.imager.archive.values import field_values
 from sunarc.imager.runtime.status import StatusSnapshot
 from sunarc.imager.web import schemas
@@ -18,6 +21,7 @@ from sunarc.imager.web.routes.record import days_out
 from sunarc.optics.camera import Camera
 from sunarc.optics.mounting import pose_text, top_azimuth_deg
 from sunarc.optics.pose import pose_angles
+from sunarc.sky.sun import DARK_ZENITH_DEG, next_sun_unix_s, sun_angles
 
 
 def health_routes(context: ApiContext, registry: CollectorRegistry) -> APIRouter:
@@ -82,7 +86,7 @@ def _status(context: ApiContext) -> schemas.Status:
     found = context.calibration_or_none(None)
     record = None if found is None else found[0]
     days = days_out(context, context.archive.days.find(context.camera, limit=1))
-    camera = context.archive.cameras.get(context.camera)
+    camera, now = context.archive.cameras.get(context.camera), context.frame_clock()
     return schemas.Status(
         **field_values(snapshot),
         health=snapshot.health,
@@ -90,7 +94,8 @@ def _status(context: ApiContext) -> schemas.Status:
         state_text=snapshot.state_text,
         findings=snapshot.findings,
         camera_name=context.camera,
-        frame_time=context.frame_clock(),
+        frame_time=now,
+        sky=_sky(context, now),
         is_replay=context.is_replay,
         timezone=context.timezone,
         disk_free_bytes=None if snapshot.disk is None else snapshot.disk.free_bytes,
@@ -99,6 +104,21 @@ def _status(context: ApiContext) -> schemas.Status:
         last_day=days[0] if days else None,
         image_size=None if camera is None else list(camera.image_size),
         obstructions=_obstructions(context),
+    )
+
+
+def _sky(context: ApiContext, now: datetime) -> schemas.SkyNow:
+    def next_time(zenith_deg: float, *, rising: bool) -> datetime | None:
+        unix_s = next_sun_unix_s(now.timestamp(), context.site, zenith_deg=zenith_deg, rising=rising)
+        return utc_time(unix_s) if math.isfinite(unix_s) else None
+
+    zenith = float(sun_angles(now.timestamp(), context.site).apparent_zenith)
+    is_dark = context.observes_stars and zenith >= DARK_ZENITH_DEG
+    return schemas.SkyNow(
+        sun_elevation_deg=90.0 - zenith,
+        observed="sun" if zenith < context.sun_zenith_deg else "stars" if is_dark else "nothing",
+        sun_from=next_time(context.sun_zenith_deg, rising=True),
+        stars_from=next_time(DARK_ZENITH_DEG, rising=False) if context.observes_stars else None,
     )
 
 

@@ -13,6 +13,7 @@ from pydantic import BaseModel, Field
 from scipy.spatial.transform import Rotation
 
 from sunarc.calibration.answers.covariance import sky_share_within, unproject_with_sigma
+from sunarc.calibration.answers.least_certain import least_certain
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.common.array_types import FloatArray
@@ -64,6 +65,18 @@ class Overlay(BaseModel):
     sun_paths: list[SunPath] = Field(description="Of today and of both solstices of the year.")
 
 
+class UncertainPart(BaseModel):
+    """Part of the sky seen whose 1-sigma is above the limit, and what makes it less."""
+
+    text: str = Field(description="Where it is.", examples=["towards the north, below 20° of elevation"])
+    remedy: str = Field(
+        description="Which sightings improve it.",
+        examples=["it improves with sightings of the sun there, today from 11:40 to 13:05 UTC"],
+    )
+    elevation_from_deg: float = Field(description="Lowest elevation, degrees; 0 at the horizon.", examples=[0.0])
+    elevation_to_deg: float = Field(description="Highest elevation, degrees; 90 at the zenith.", examples=[20.0])
+
+
 class Uncertainty(BaseModel):
     """1-sigma of directions over the image, on a coarse grid of square cells."""
 
@@ -79,6 +92,7 @@ class Uncertainty(BaseModel):
         description="Share of the sky seen whose 1-sigma is at most `limit_deg`; null where no sky is seen.",
         examples=[0.97],
     )
+    least_certain: UncertainPart | None = Field(description="The rest of the sky seen; null without one.")
 
 
 class Difference(BaseModel):
@@ -154,7 +168,7 @@ def overlay_routes(context: ApiContext) -> APIRouter:
         """Return the 1-sigma of directions over the image, on a coarse grid."""
         selected = context.of(request)
         record = selected.record(at)
-        return _send_answer(_uncertainty(selected.ages.model(record), cells, record.id), if_none_match)
+        return _send_answer(_uncertainty(selected, record.id, cells, at or selected.frame_clock()), if_none_match)
 
     _add_difference(routes, context)
     return routes
@@ -224,7 +238,8 @@ def _draw_line(camera: Camera, zenith_deg: FloatArray, azimuth_deg: FloatArray) 
     return [[round(x, 2), round(y, 2)] if math.isfinite(x + y) else None for x, y in pixels.tolist()]
 
 
-def _uncertainty(calibration: Calibration, cells: int, calibration_id: str) -> Uncertainty:
+def _uncertainty(context: ApiContext, calibration_id: str, cells: int, time: datetime) -> Uncertainty:
+    calibration = context.archive.calibrations.model(calibration_id)
     x, y, pixels = _grid(calibration.camera, cells)
     with np.errstate(all="ignore"):  # what lies outside the field is answered with null
         _, sigma, inside = unproject_with_sigma(calibration, pixels)
@@ -237,6 +252,19 @@ def _uncertainty(calibration: Calibration, cells: int, calibration_id: str) -> U
         sigma_deg=_finite(rows),
         limit_deg=_LIMIT_DEG,
         share_within=share if math.isfinite(share) else None,
+        least_certain=_uncertain_part(context, calibration, time),
+    )
+
+
+def _uncertain_part(context: ApiContext, calibration: Calibration, time: datetime) -> UncertainPart | None:
+    part = least_certain(calibration, context.site, limit_deg=_LIMIT_DEG, unix_s=time.timestamp())
+    if part is None:
+        return None
+    return UncertainPart(
+        text=part.text,
+        remedy=part.remedy(observes_stars=context.observes_stars),
+        elevation_from_deg=part.from_deg,
+        elevation_to_deg=part.to_deg,
     )
 
 

@@ -1,7 +1,7 @@
 // Two calibrations compared over the sky: asked for when they are chosen, never before.
 import { ask } from "./ask.js";
 import { drawCells } from "./cells.js";
-import { $, moment, node, telling } from "./draw.js";
+import { $, moment, node, telling, write } from "./draw.js";
 
 const LEAST_DEG = 1e-6; // below it, rounding
 const angle = (value) => telling(Math.abs(value) < LEAST_DEG ? 0 : value, "°");
@@ -18,8 +18,8 @@ export function offerComparison(calibrations) {
     $(id).value = offered.some((one) => one.id === before) ? before : offered[first]?.id ?? "";
   }
   $("compare-form").hidden = offered.length < 2;
-  if (offered.length < 2) $("compare-sum").textContent = "There is no second accepted calibration to compare with yet.";
-  else if (!$("compare").hasChildNodes()) $("compare-sum").textContent = "";
+  if (offered.length < 2) write($("compare-sum"), "There is no second accepted calibration to compare with yet.");
+  else if (!$("compare").hasChildNodes()) write($("compare-sum"), "");
 }
 
 export async function compare(overlay) {
@@ -28,11 +28,11 @@ export async function compare(overlay) {
   $("compare").toggleAttribute("hidden", !answer);
   $("compare-scale").toggleAttribute("hidden", !answer);
   if (!answer || answer.rms_deg === null) {
-    $("compare-sum").textContent = "These two have no sky in common, or images of another size.";
+    write($("compare-sum"), "These two have no sky in common, or images of another size.");
     return;
   }
   const [east, north, up] = answer.rotation_deg.map(angle);
-  $("compare-sum").textContent = `Directions differ by ${angle(answer.rms_deg)} RMS, ${angle(answer.max_deg)} at most. A rotation by ${east} about east, ${north} about north and ${up} about up explains all but ${angle(answer.rms_rotated_deg)} RMS.`;
+  write($("compare-sum"), `Directions differ by ${angle(answer.rms_deg)} RMS, ${angle(answer.max_deg)} at most. A rotation by ${east} about east, ${north} about north and ${up} about up explains all but ${angle(answer.rms_rotated_deg)} RMS.`);
   const size = [answer.x_px.at(-1) + answer.x_px[0] + 1, answer.y_px.at(-1) + answer.y_px[0] + 1];
   drawCells($("compare"), $("compare-scale"), { ...answer, rows: answer.difference_deg }, overlay, size);
 }

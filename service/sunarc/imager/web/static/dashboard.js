@@ -1,21 +1,21 @@
 // The dashboard: asks the API, draws what it says, and asks again.
 import { ask, keepToken, listen, NeedsToken } from "./ask.js";
 import { drawCalendar } from "./calendar.js";
-import { $, ago, fillFacts, fillRows, fixed, judged, moment, node, sentences, telling, zoned } from "./draw.js";
+import { $, ago, fillFacts, fillRows, fixed, judged, moment, node, sentences, telling, write, zoned } from "./draw.js";
 import { compare, offerComparison } from "./compare.js";
 import { drawFirst, firstWay } from "./first.js";
 import { drawHistory, spanDays } from "./history.js";
 import { readHorizon, showMask } from "./horizon.js";
 import { lookUp } from "./lookup.js";
-import { drawMoves } from "./moves.js";
+import { concerns, drawMoves } from "./moves.js";
 import { readNights } from "./night.js";
 import { drawResiduals } from "./residuals.js";
 import { beyondText, drawSigma, sharePercent } from "./sigma.js";
-import { drawSky, pictureTime, showImage, showPart } from "./sky.js";
+import { drawSky, pictureTime, showImage, showPart, skyText } from "./sky.js";
 import { Zoom } from "./zoom.js";
 
 const SIGNS = { ready: ["✓", "Ready"], ready_with_note: ["✓", "Ready, with a note"], starting: ["…", "Starting"], attention: ["!", "Attention"], not_serving: ["✕", "Not serving"], gone: ["✕", "No answer"], locked: ["!", "Locked"] };
-const SHOWN_ELSEWHERE = ["health", "state", "state_text", "notes", "pose", "reasons", "findings", "version", "camera_name", "frame_time", "workers", "calibration", "last_day", "image_size", "is_replay", "timezone", "obstructions"];
+const SHOWN_ELSEWHERE = ["health", "state", "state_text", "notes", "pose", "reasons", "findings", "version", "camera_name", "frame_time", "workers", "calibration", "last_day", "image_size", "is_replay", "timezone", "obstructions", "sky"];
 const CONDITION_SIGNS = { note: "i", degraded: "!", not_ready: "✕" };
 const NO_ACTION = "none"; // as docs/codes.md has it
 const MOST_POINTS = 1000;
@@ -28,13 +28,14 @@ const RESIDUALS_MS = 60000;
 const RECORD_MS = 3600000;
 const FRESH_MS = 5000;
 const LEAST_SHARE = 0.5; // of the sky within the limit, below which a ready camera is shown as one to attend to
+const LEAST_CLOCK_S = 0.5; // of a clock's error, from which on it is named with the pixel
 const MORE_EVENTS = 50;
 const MOST_EVENTS = 1000;
 const CALENDAR_DAYS = 182;
 const COUNTED_DAYS = 366; // as many as are counted at once
 const MOST_HOURLY_DAYS = 31; // of longer spans housekeeping is shown by day
 const known = {
-  status: null, points: [], calibrations: [], days: [], nights: [], counts: [], housekeeping: { step: "hour", rows: [] },
+  status: null, moves: [], points: [], calibrations: [], days: [], nights: [], counts: [], housekeeping: { step: "hour", rows: [] },
   overlay: null, sun: null, sunInPicture: null, uncertainty: null, asked: null, site: null, calibration: undefined, residualsBy: undefined, date: null, events: MORE_EVENTS, kinds: new Set(),
 };
 
@@ -45,11 +46,13 @@ function showHealth(health, headline, stateText = "") {
   const [sign] = SIGNS[shown];
   const inPart = share < 1 && health.startsWith("ready");
   const word = inPart ? plain.replace("Ready", `Ready for ${sharePercent(known.uncertainty)} % of the sky`) : plain;
-  $("state-text").textContent = [stateText, inPart ? beyondText(known.uncertainty) : ""].filter(Boolean).join("; ");
+  write($("state-text"), [stateText, inPart ? beyondText(known.uncertainty) : ""].filter(Boolean).join("; "));
+  write($("sky-now"), known.status && !["gone", "locked"].includes(health) ? skyText(known.status) : "");
+  write($("improves"), (inPart && known.uncertainty.least_certain?.remedy) || "");
   $("health").dataset.health = shown;
   $("health-sign").textContent = sign;
-  if ($("health-word").textContent !== word) $("health-word").textContent = word;
-  $("headline").textContent = headline;
+  write($("health-word"), word);
+  write($("headline"), headline);
   document.title = `${sign} ${word} · ${known.status?.camera_name ?? ""} · sunarc`;
 }
 
@@ -60,15 +63,16 @@ async function refreshStatus() {
   $("camera-name").textContent = `· ${status.camera_name}`;
   $("version").textContent = `sunarc ${status.version}`;
   $("replay").hidden = !status.is_replay;
-  $("replay").textContent = status.is_replay ? `▶ replay: its clock shows ${zoned(status.frame_time, status.timezone)}` : "";
+  write($("replay"), status.is_replay ? `▶ replay: its clock shows ${zoned(status.frame_time, status.timezone)}` : "");
   const c = status.calibration;
   const before = [...status.reasons, ...status.notes].some((one) => one.code === "lens_changed") ? " before the change of the lens" : "";
   const quality = c ? `calibrated ${ago(c.created_at, status.frame_time)}, direction uncertainty ${telling(c.sky_rms_deg, "°")}${before}` : known.calibrations.length ? "no calibration serves" : "not calibrated yet";
   const seen = status.last_sighting_at ? `last sighting ${ago(status.last_sighting_at, status.frame_time)}` : "no sighting yet";
   showHealth(status.state, [...lastClearDay(), quality, seen].join(" · "), status.state === "ready" ? "" : status.state_text);
-  $("reasons").replaceChildren(...[...status.reasons, ...status.notes].map(condition));
+  const elsewhere = (one) => known.moves.some(({ id }) => concerns(one, id)); // with the event, on top
+  $("reasons").replaceChildren(...[...status.reasons, ...status.notes].filter((one) => !elsewhere(one)).map(condition));
   fillRows("workers", status.workers.map((w) => [
-    w.name, judged(w.state), fixed(w.heartbeat_age_s, 0, " s ago"), w.last_error ? `${w.restarts} (${w.last_error})` : String(w.restarts),
+    w.name, judged(waits(w, status) ? "waiting for the camera" : w.state), fixed(w.heartbeat_age_s, 0, " s ago"), w.last_error ? `${w.restarts} (${w.last_error})` : String(w.restarts),
   ]), "No worker has started.");
   fillFacts("facts", factsOf(status));
   fillFacts("more-facts", moreFactsOf(status));
@@ -111,6 +115,9 @@ function condition({ code, severity, text, remedy, since }) {
   item.append(node("code", code));
   return item;
 }
+
+// The thread of exposures runs on while the camera does not answer: it opens the camera again.
+const waits = (worker, { camera }) => worker.name === "capture" && worker.state === "running" && camera?.connected === false;
 
 function factsOf(status) {
   const { camera, clock } = status;
@@ -191,6 +198,9 @@ function sightingText(point, zone) {
   return `${was}, expected at ${pixelText(expected)}; ${telling(distance_px, " px")} apart, 1-sigma ${telling(sigma_px, " px")} per axis`;
 }
 
+// A clock that matters in the error of the pixel that is expected now.
+const clockText = (clock) => (clock?.max_error_s > LEAST_CLOCK_S ? `, by a clock that is right within ${telling(clock.max_error_s)} s` : "");
+
 // Where the sun is expected and was seen last, over the picture and in words.
 function showSun() {
   redrawSky();
@@ -199,11 +209,12 @@ function showSun() {
   const last = known.points.find((point) => point.accepted);
   const zone = known.status?.timezone;
   const taken = pictureTime();
-  $("sky-time").textContent = taken ? `Picture taken ${zoned(taken, zone)} (${ago(taken, sun.time)})` : "";
+  const taking = known.status?.sky.observed === "sun" ? "Picture taken" : "Last picture by day, taken";
+  write($("sky-time"), taken ? `${taking} ${zoned(taken, zone)} (${ago(taken, sun.time)})` : "");
   if (taken) $("sky-time").dataset.time = taken;
   fillFacts("sun", {
     "Sun now": `apparent zenith ${fixed(sun.apparent_zenith, 3, "°")}, azimuth ${fixed(sun.azimuth, 3, "°")} (${zoned(sun.time, zone)})`,
-    "Expected now": sun.pixel ? `${pixelText(sun.pixel)} ± ${telling(sun.sigma_px, " px")}` : sun.apparent_zenith > 90 ? "below the horizon" : sun.calibration ? "outside the camera's field" : "no calibration yet",
+    "Expected now": sun.pixel ? `${pixelText(sun.pixel)} ± ${telling(sun.sigma_px, " px")}${clockText(known.status?.clock)}` : sun.apparent_zenith > 90 ? "below the horizon" : sun.calibration ? "outside the camera's field" : "no calibration yet",
     "Last sighting at": last ? sightingText(last, zone) : "not yet",
   });
 }
@@ -290,7 +301,10 @@ async function refreshEvents() {
 
 async function refreshMoves() {
   const { events } = await ask("/v1/events?to_acknowledge=true&limit=20");
-  drawMoves(events, known.status?.timezone, () => [refreshMoves, refreshStatus, refreshRecord].forEach(refresh));
+  const others = String(events.map(({ id }) => id)) !== String(known.moves.map(({ id }) => id));
+  known.moves = events;
+  if (others) refresh(refreshStatus);
+  drawMoves(events, known.status, () => [refreshMoves, refreshStatus, refreshRecord].forEach(refresh));
 }
 
 function findingsOf(calibration) {

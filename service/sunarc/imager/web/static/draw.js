@@ -14,9 +14,33 @@ export function element(name, attributes = {}, text = null) {
   return made;
 }
 
+// A number and its unit, a sign and its number, and the two values of a ± stay in one line.
+const UNIT = "(?:px|°|%|s|ms|µs|min|h|d|days?|MB|GB|KiB|MiB|GiB|km|m|mm|µm|hPa|Pa|K|°C|mag|UTC|Hz|kHz|images?|sightings?|times|sigmas?)";
+const AFTER_NUMBER = new RegExp(`(\\d) (?=${UNIT}(?![\\wµ°]))`, "g");
+export const unbroken = (text) => text.replace(/ ?± ?/g, (found) => found.replaceAll(" ", "\u00a0")).replace(AFTER_NUMBER, "$1\u00a0");
+
+// Text as nodes: what stands between backticks is code, to be typed as it stands.
+export function written(text) {
+  const all = document.createDocumentFragment();
+  String(text).split("`").forEach((part, k, parts) => {
+    const isCode = k % 2 === 1 && k < parts.length - 1;
+    if (!isCode) { all.append(unbroken(k % 2 ? `\`${part}` : part)); return; }
+    const made = document.createElement("code");
+    made.textContent = part;
+    all.append(made);
+  });
+  return all;
+}
+
+// Give an element a text; one that it has already is left, so that no reader hears it again.
+export function write(made, text) {
+  if (made.dataset.text !== text) made.replaceChildren(written(text));
+  made.dataset.text = text;
+}
+
 export function node(name, text = "", className = "") {
   const made = document.createElement(name);
-  made.textContent = text;
+  if (text !== "") made.append(name === "code" ? text : written(text));
   if (className) made.className = className;
   return made;
 }
@@ -78,7 +102,7 @@ export function fillRows(id, rows, empty) {
     cells.forEach((cell, k) => {
       const td = document.createElement("td");
       td.dataset.title = titles[k]; // shown beside it where the screen is narrow
-      td.append(cell);
+      td.append(typeof cell === "string" ? written(cell) : cell);
       row.append(td);
     });
     return row;
@@ -93,7 +117,7 @@ export function fillRows(id, rows, empty) {
 export function fillFacts(id, facts) {
   $(id).replaceChildren(...Object.entries(facts).flatMap(([name, value]) => {
     const dd = document.createElement("dd");
-    dd.append(value);
+    dd.append(typeof value === "string" ? written(value) : value);
     return [node("dt", name), dd];
   }));
 }

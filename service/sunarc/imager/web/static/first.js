@@ -1,5 +1,5 @@
 // The first hours of a camera: whether the sun was found, what to check, how sure the north is, and when a fit can be expected.
-import { $, ago, fillFacts, fixed, moment, node, telling, zoned } from "./draw.js";
+import { $, ago, fillFacts, fixed, moment, node, telling, zoned, write } from "./draw.js";
 import { DAY_MS, drawSeries } from "./plots.js";
 
 const MS_PER_DEGREE = 240000; // of longitude: the sun's mean rate
@@ -44,11 +44,18 @@ export function drawFirst({ status, points, residualsBy, counts, calibrations, o
 
 function ofSun(status, sightings, counts) {
   const looks = sum(counts, (day) => Object.values(day.verdicts).reduce((all, n) => all + n, 0));
-  if (!sightings.length) return looks ? `not yet: in none of ${looks} images (${verdicts(counts)})` : "not yet: no image was taken while the sun was up";
+  if (!sightings.length) return looks ? `not yet: in none of ${looks} images (${verdicts(counts)})` : `not yet: ${unseen(status)}`;
   const [first, last] = [sightings[0], sightings.at(-1)];
   const at = (point) => `x ${point.x_px.toFixed(0)}, y ${point.y_px.toFixed(0)} px`;
   const n = sightings.length >= MOST_POINTS ? `at least ${MOST_POINTS}` : sightings.length;
   return `found ${n} times, first at ${moment(first.time)} (${at(first)}), last ${ago(last.time, status.frame_time)} (${at(last)})`;
+}
+
+// Why the sun was looked for in no image: none came, the sun is down, or the first is still to be evaluated.
+function unseen({ last_frame_at: last, started_at: start, sky, timezone, frame_time: now }) {
+  if (sky.observed !== "sun") return `the sun is down; the first image with the sun is expected ${sky.sun_from ? `at ${zoned(sky.sun_from, timezone, 16)}` : "after the polar night"}`;
+  if (!last) return `no image has come from the camera since the service started (${ago(start, now)})`;
+  return `images come (the last ${ago(last, now)}), none of them was evaluated for the sun yet`;
 }
 
 function verdicts(counts) {
@@ -138,6 +145,6 @@ function drawNorth(calibrations, epoch) {
   $("first-north").toggleAttribute("hidden", series.length < 2);
   $("first-north-sum").hidden = series.length < 2;
   if (series.length < 2) return;
-  $("first-north-sum").textContent = `1-sigma of north, degrees: ${telling(series[0][1])} at the first pose, ${telling(series.at(-1)[1])} at the last`;
+  write($("first-north-sum"), `1-sigma of north, degrees: ${telling(series[0][1])} at the first pose, ${telling(series.at(-1)[1])} at the last`);
   drawSeries("first-north", [["x-mark", series]], 0);
 }

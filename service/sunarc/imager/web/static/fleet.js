@@ -1,6 +1,6 @@
 // The fleet page: asks the hub, draws what it says, and asks again.
 import { ask, keepToken, NeedsToken } from "./ask.js";
-import { $, ago, element, fixed, moment, node, telling } from "./draw.js";
+import { $, ago, element, fixed, moment, node, telling, write } from "./draw.js";
 
 const AGAIN_MS = 10000;
 // More cameras than this are shown in small print, and on the map the names of those alone that are not ready.
@@ -81,13 +81,13 @@ function showAll(fleet, quarantine, crossed) {
   const bad = cameras.filter((c) => NEEDS.includes(c.service_state)).length;
   const starting = cameras.filter((c) => c.service_state === "starting").length;
   $("health").dataset.health = bad ? "degraded" : "ready";
-  $("verdict").textContent = bad ? `! ${bad} of ${fleet.cameras.length} need a look` : `✓ ${fleet.cameras.length} cameras${starting ? `, ${starting} starting` : ""}`;
-  $("headline").textContent = `at ${moment(fleet.time)} UTC${beside(fleet.hubs)}`;
+  write($("verdict"), bad ? `! ${bad} of ${fleet.cameras.length} need a look` : `✓ ${fleet.cameras.length} cameras${starting ? `, ${starting} starting` : ""}`);
+  write($("headline"), `at ${moment(fleet.time)} UTC${beside(fleet.hubs)}`);
   $("cameras").replaceChildren(...cameras.map((c) => ofCamera(c, fleet.time, checks.get(c.camera))));
   document.body.classList.toggle("many", cameras.length > MANY);
   $("checks").replaceChildren(...crossed.checks.filter((check) => check.found.length).map(ofCheck));
-  $("checks-about").textContent = crossed.night
-    ? `night of ${crossed.night}: ${crossed.checks.length} cameras compared with neighbours, ${crossed.checks.filter(alarmed).length} with an alarm` : "none yet";
+  write($("checks-about"), crossed.night
+    ? `night of ${crossed.night}: ${crossed.checks.length} cameras compared with neighbours, ${crossed.checks.filter(alarmed).length} with an alarm` : "none yet");
   $("quarantine").replaceChildren(...quarantine.rows.map((q) => row(q.camera, q.reason, q.text, String(q.n), moment(q.last_at))));
   ["cameras", "checks", "quarantine"].forEach(nameCells);
   drawMap(cameras);
@@ -106,7 +106,7 @@ async function refresh() {
   } catch (error) {
     $("token-form").hidden = !(error instanceof NeedsToken);
     $("health").dataset.health = error instanceof NeedsToken ? "locked" : "gone";
-    $("verdict").textContent = error instanceof NeedsToken ? "! Locked" : "✕ No answer";
+    write($("verdict"), error instanceof NeedsToken ? "! Locked" : "✕ No answer");
   }
 }
 

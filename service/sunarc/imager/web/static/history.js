@@ -1,5 +1,5 @@
 // What was: calibrations, the camera's rotation, looks at the sun and the clock, over a span that is chosen.
-import { $, element, keyed, symbol, telling } from "./draw.js";
+import { $, element, keyed, symbol, telling, write } from "./draw.js";
 import { axes, DAY_MS, drawSeries } from "./plots.js";
 
 const AXES = [["x-mark", "about east"], ["y-mark", "about north"], ["z-mark", "about up"]];
@@ -24,9 +24,9 @@ function drawCalibrations(calibrations) {
   const newest = Math.max(...known.map((one) => one.at));
   const shown = known.filter((one) => one.at >= newest - spanDays() * DAY_MS);
   $("history-plots").hidden = !shown.length;
-  $("history-sum").textContent = shown.length
+  write($("history-sum"), shown.length
     ? `${shown.length} accepted; 1-sigma over the sky ${range(shown, "sky_rms_deg", "°")}, RMSE ${range(shown, "rmse_px", " px")}.`
-    : "No accepted calibration yet.";
+    : "No accepted calibration yet.");
   if (!shown.length) return;
   drawSeries("history-sigma", [["x-mark", shown.map((one) => [one.at, one.sky_rms_deg])]], 0);
   drawSeries("history-rmse", [["y-mark", shown.filter((one) => one.rmse_px !== null).map((one) => [one.at, one.rmse_px])]], 0);
@@ -47,7 +47,7 @@ function drawCounts(days) {
   for (const day of days) for (const [verdict, count] of Object.entries(day.verdicts)) totals.set(verdict, (totals.get(verdict) ?? 0) + count);
   const verdicts = [...totals.keys()].sort((a, b) => totals.get(b) - totals.get(a));
   const shade = (k) => `shade-${VERDICTS - 1 - (k % VERDICTS)}`;
-  $("counts-sum").textContent = `Detections per day, by result${spanDays() > days.length && spanDays() > 366 ? ", of the last 366 days" : ""}`;
+  write($("counts-sum"), `Detections per day, by result${spanDays() > days.length && spanDays() > 366 ? ", of the last 366 days" : ""}`);
   $("counts-legend").replaceChildren(...verdicts.map((verdict, k) => keyed(element("rect", { class: shade(k), width: 10, height: 10 }), `${verdict} (${totals.get(verdict)})`)));
   const highest = Math.max(...days.map((day) => Object.values(day.verdicts).reduce((sum, count) => sum + count, 0)));
   const frame = axes("history-counts", days.map((day) => day.at), 0, highest * 1.05);

@@ -1,6 +1,6 @@
 // What hides the sky: the mask over the picture, the horizon with the sun's year, and the hours of sun that are lost.
 import { ask, askImage } from "./ask.js";
-import { $, element, ticksOf } from "./draw.js";
+import { $, element, ticksOf, write } from "./draw.js";
 
 const [HEIGHT, LEFT, BOTTOM] = [190, 40, 24];
 const DIRECTIONS = ["N", "NE", "E", "SE", "S", "SW", "W", "NW", "N"];
@@ -63,7 +63,7 @@ function drawProfile(found) {
 
 function drawLost({ lost_h: lost, sun_h: sun, drawn }) {
   const [all, gone] = [sun, lost].map((hours) => hours.reduce((total, one) => total + one, 0));
-  $("horizon-sum").textContent = `Obstructions hide the sun for ${gone.toFixed(0)} h of the ${all.toFixed(0)} h a year that it is up (${((100 * gone) / Math.max(all, 1)).toFixed(1)} %)${drawn ? `; the drawn mask agrees with ${(100 * drawn.agreement).toFixed(0)} % of them` : ""}. Hours hidden by month:`;
+  write($("horizon-sum"), `Obstructions hide the sun for ${gone.toFixed(0)} h of the ${all.toFixed(0)} h a year that it is up (${((100 * gone) / Math.max(all, 1)).toFixed(1)} %)${drawn ? `; the drawn mask agrees with ${(100 * drawn.agreement).toFixed(0)} % of them` : ""}. Hours hidden by month:`);
   const { x, y, parts } = frameOf("lost-plot", -0.5, 11.5, Math.max(...lost, 1) * 1.1, [...MONTHS].entries());
   for (const [month, hours] of lost.entries()) {
     const bar = element("rect", { class: "shade-3 bar", x: x(month - 0.35), width: x(0.35) - x(-0.35), y: y(hours), height: y(0) - y(hours) });

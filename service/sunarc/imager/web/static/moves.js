@@ -1,14 +1,16 @@
 // Moves and changes of the camera that wait for an operator: on top, with the pictures before and after.
 import { acknowledge, askImage } from "./ask.js";
-import { $, node, zoned } from "./draw.js";
+import { $, node, write, zoned } from "./draw.js";
 
 const SIDES = ["before", "after"];
 
-export function drawMoves(events, zone, done) {
+export function drawMoves(events, status, done) {
+  const zone = status?.timezone;
   $("moves").hidden = !events.length;
   const shown = new Map([...$("moves").children].map((one) => [one.dataset.event, one]));
   const entries = events.map((event) => shown.get(String(event.id)) ?? entry(event, zone, done));
   $("moves").replaceChildren(...entries);
+  for (const one of entries) write(one.querySelector(".action"), remedyOf(one.dataset.event, status));
   for (const one of entries) one.querySelectorAll("figure[hidden]").forEach((figure) => askPicture(figure, one.dataset.event, zone));
 }
 
@@ -16,9 +18,19 @@ function entry(event, zone, done) {
   const one = node("article");
   one.dataset.event = event.id;
   const title = node("h2", `! ${event.text}`);
-  one.append(title, node("p", zoned(event.time, zone), "sum"), pictures(), form(event, done));
+  one.append(title, node("p", zoned(event.time, zone), "sum"), node("p", "", "action"), form(event, done), pictures());
   return one;
 }
+
+// What to do about a change, as the condition has it that names the event.
+function remedyOf(event, status) {
+  const all = [...(status?.reasons ?? []), ...(status?.notes ?? [])];
+  const found = all.find((one) => concerns(one, event));
+  return found ? `What to do: ${found.remedy}.` : "";
+}
+
+// Whether a condition is of an event: its remedy names it.
+export const concerns = ({ remedy }, event) => new RegExp(`\\bevent ${event}\\b`).test(remedy);
 
 function pictures() {
   const both = node("div", "", "halves");
@@ -58,7 +70,7 @@ function form(event, done) {
   made.addEventListener("submit", async (submitted) => {
     submitted.preventDefault();
     const problem = await acknowledge(event.id, token.value.trim(), reason.value.trim()).catch(() => "the service does not answer");
-    said.textContent = problem ?? "";
+    write(said, problem ?? "");
     if (!problem) done();
   });
   return made;

@@ -1,6 +1,6 @@
 // The nights: the picture of one with what is named in it, its numbers, and the course of all.
 import { ask, askImage } from "./ask.js";
-import { $, element, fillFacts, fixed, label, mark, moment, node, sentences, telling } from "./draw.js";
+import { $, element, fillFacts, fixed, label, mark, moment, node, sentences, telling, write } from "./draw.js";
 import { DAY_MS, drawSeries } from "./plots.js";
 
 export const NIGHT_SIGNS = { clear: "★", partly: "☆", cloudy: "☁", moonlit: "☾", unusable: "✕" };
@@ -114,7 +114,7 @@ function drawBodies() {
   $("night-body").value = known.body?.body ?? "";
   $("night-legend").hidden = !bodies.length;
   $("night-said").hidden = !known.picture;
-  $("night-said").textContent = known.body ? describe(known.body) : summary(bodies);
+  write($("night-said"), known.body ? describe(known.body) : summary(bodies));
 }
 
 function summary(bodies) {

@@ -1,14 +1,14 @@
 // Sighting minus calibration: by time, and as arrows over the image.
-import { $, element, label, node, path, symbol, telling, ticksOf, timeTicks } from "./draw.js";
+import { $, element, label, node, path, symbol, telling, ticksOf, timeTicks, write } from "./draw.js";
 import { compass } from "./sky.js";
 
 // Of the accepted sightings alone, and of those since the camera last moved: the calibration says nothing of others.
 export function drawResiduals(points, overlay, size, poseEpoch) {
   const unit = document.querySelector("input[name=unit]:checked").value;
   const known = points.filter((point) => point.accepted && point.residual && (!poseEpoch || point.pose_epoch === poseEpoch));
-  $("residual-sum").textContent = known.length
+  write($("residual-sum"), known.length
     ? `RMSE of the last ${known.length} accepted sightings: ${telling(rmse(known, "distance_px"), " px")}, ${telling(rmse(known, "distance_deg"), "°")}.`
-    : "No accepted sighting with a calibration to compare it with yet.";
+    : "No accepted sighting with a calibration to compare it with yet.");
   $("plots").hidden = !known.length;
   if (!known.length) return;
   const series = unit === "px"

@@ -1,6 +1,6 @@
 // The latest image, and over it what the calibration says of the sky. All geometry comes from /v1/overlay.
 import { askImage } from "./ask.js";
-import { $, element, label, mark, path } from "./draw.js";
+import { $, element, label, mark, path, zoned } from "./draw.js";
 
 const EXPECTED = "M0-4.4V-2M0 4.4V2M-4.4 0H-2M4.4 0H2M2.7 0A2.7 2.7 0 1 1-2.7 0A2.7 2.7 0 1 1 2.7 0";
 const SEEN = "M0-1.5L1.5 0L0 1.5L-1.5 0Z";
@@ -8,6 +8,7 @@ const SEEN = "M0-1.5L1.5 0L0 1.5L-1.5 0Z";
 const ASKED = "M-3 0H-1M1 0H3M0-3V-1M0 1V3";
 const THUMBNAIL_PX = 640;
 const IMAGE_EVERY_MS = 600000;
+const DARK_DEG = -12; // of the sun's elevation: the end of nautical twilight
 let shownAt = -Infinity;
 let takenAt = null;
 let enlarged = false;
@@ -31,6 +32,19 @@ export async function showImage(status) {
   image.hidden = false;
   $("no-image").hidden = true;
   if (before) URL.revokeObjectURL(before);
+}
+
+// What is observed while the sun is not, and when it is next, in a sentence; empty while it is.
+export function skyText({ sky, camera, timezone, state }) {
+  if (sky.observed === "sun") return "";
+  const [down, at] = [Math.abs(sky.sun_elevation_deg).toFixed(0), (time) => zoned(time, timezone, 16)];
+  const name = sky.sun_elevation_deg > DARK_DEG ? "Twilight" : "Night";
+  const begin = `${name} at the camera, the sun ${down}° ${sky.sun_elevation_deg > 0 ? "above" : "below"} the horizon`;
+  const next = sky.sun_from ? `the next image with the sun is expected at ${at(sky.sun_from)}` : "the sun does not rise within 200 days";
+  if (state === "not_serving" || camera?.connected === false) return `${begin}; ${next}.`;
+  if (sky.observed === "stars") return `${begin}: stars are observed until dawn; ${next}.`;
+  const stars = sky.stars_from && (!sky.sun_from || sky.stars_from < sky.sun_from);
+  return `${begin}: nothing is observed until ${stars ? `the stars at ${at(sky.stars_from)}; ${next}` : sky.sun_from ? `the next image with the sun, expected at ${at(sky.sun_from)}` : next}.`;
 }
 
 // When the picture that is shown was taken; null where that is not known.
