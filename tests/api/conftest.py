@@ -62,6 +62,11 @@ def calibration(camera: Camera = LENS) -> Calibration:
 
 REFUSED = Finding("cross_validation_rmse", {"rmse_px": 0.4, "expected_px": 0.1})
 """Why the refused calibration was refused."""
+NOT_ACCEPTED = Finding(
+    "refit_refused",
+    {"refit": "7", "message": REFUSED.text, "served": "the calibration of 13 May 2013 is still served"},
+)
+"""Event of its refit."""
 
 
 def document(
@@ -310,5 +315,7 @@ def fill(archive: Archive, camera: Camera = LENS) -> None:
                 decided_at=NOON,
             )
         )
-    archive.events.add(Event(time=NOON, kind="refit_refused", severity="warning", text="worse", camera="roof"))
+    archive.events.add(
+        Event(time=NOON, kind="refit_refused", severity="warning", text=NOT_ACCEPTED.text, camera="roof")
+    )
     archive.events.add(Event(time=NOON - timedelta(days=1), kind="start", severity="info", text="started"))

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.api.conftest import write_image
+from tests.api.conftest import NOT_ACCEPTED, write_image
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made
@@ -24,7 +24,7 @@ def test_events_tell_what_happened(made: Made) -> None:
     told = made.client.get("/v1/events").json()["events"]
     assert [(event["kind"], event["severity"]) for event in told] == [("refit_refused", "warning"), ("start", "info")]
     grave = made.client.get("/v1/events", params={"severity": "warning", "limit": 1}).json()["events"]
-    assert [event["text"] for event in grave] == ["worse"]
+    assert [event["text"] for event in grave] == [NOT_ACCEPTED.text]
 
 
 def test_the_latest_image_is_sent_once(made: Made) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import math
+import re
 from collections.abc import Iterable, Sequence
 from html import escape
 from pathlib import Path
@@ -32,6 +33,8 @@ from sunarc.sources.image_files import images_in
 from sunarc.sources.sources import open_source
 
 _PICTURE_PX = 320
+_COMMAND = re.compile("`([^`]+)`")
+_IN_ONE_LINE = re.compile(r"(?<=\d) (?=[°%±]|(?:px|s|min|h|m|km|MB|GB|UTC)\b)|(?<=±) | (?=±)")
 _TRACK_S = 600.0
 _MOST_DAYS = 40
 """Days of a camera that are listed; the tables have all."""
@@ -68,6 +71,11 @@ def report_page(summary: Summary, results: Sequence[CameraResult]) -> str:
     )
 
 
+def prose(text: str) -> str:
+    """Return a text as HTML: commands between backticks as code, a number and its unit in one line."""
+    return _IN_ONE_LINE.sub("\u00a0", _COMMAND.sub(r"<code>\1</code>", escape(text)))
+
+
 def _overview(report: dict[str, Any]) -> str:
     rows = [
         (
@@ -83,7 +91,7 @@ def _overview(report: dict[str, Any]) -> str:
     ]
     header = ("camera", "images", "suns, first pass", "found with prediction", "refused with it", "suns", "epochs")
     failures = [(code, n) for code, n in report["failures"].items()]
-    refused = "".join(f"<p><b>{escape(one['camera'])}</b>: {escape(one['reason'])}</p>" for one in report["refused"])
+    refused = "".join(f"<p><b>{escape(one['camera'])}</b>: {prose(one['reason'])}</p>" for one in report["refused"])
     return (
         _table(header, rows)
         + refused
@@ -92,7 +100,7 @@ def _overview(report: dict[str, Any]) -> str:
 
 
 def _camera(numbers: dict[str, Any], result: CameraResult) -> str:
-    findings = "".join(f"<p>{escape(one['reason'])}</p>" for one in numbers["findings"])
+    findings = "".join(f"<p>{prose(one['reason'])}</p>" for one in numbers["findings"])
     verdicts = ", ".join(f"{n} {verdict}" for verdict, n in numbers["by_verdict"].items())
     head = f"<h2>{escape(result.name)}</h2>{findings}<p>Images that were looked at: {escape(verdicts or '0')}.</p>"
     night = numbers["nights"]
@@ -269,7 +277,7 @@ def _eight_bits(image: Any) -> Any:  # noqa: ANN401 - arrays
 def _table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     head = "".join(f"<th>{escape(name)}</th>" for name in header)
     body = "".join(
-        "<tr>" + "".join(f"<td{_align(cell)}>{escape(str(cell))}</td>" for cell in row) + "</tr>" for row in rows
+        "<tr>" + "".join(f"<td{_align(cell)}>{prose(str(cell))}</td>" for cell in row) + "</tr>" for row in rows
     )
     table = f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
     return f'<div class="wide" tabindex="0" role="group" aria-label="Table of {escape(header[0])}">{table}</div>'

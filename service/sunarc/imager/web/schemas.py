@@ -402,7 +402,7 @@ class Status(BaseModel):
     started_at: Time
     frame_time: Time = Field(description="The current time of the frames' clock.")
     is_replay: Annotated[bool, described("Whether that clock is of a replay or simulation, not the present.", False)]
-    sky: SkyNow
+    sky: Annotated[SkyNow, described("The sun now, and when it or the stars are observed next.")]
     timezone: Annotated[str, described("IANA name of the site's zone, `site.timezone`.", "Pacific/Auckland")]
     workers: Annotated[tuple[WorkerStatus, ...], described("The service's threads, in the order of their names.")]
     camera: Annotated[CameraStatus | None, described("The camera as it last answered; null before it did.")]
