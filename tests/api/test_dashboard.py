@@ -129,6 +129,11 @@ def opened(chromium: Browser, address: str, *, width: int = 1400, height: int = 
     return page
 
 
+def words(page: Page, selector: str) -> str:
+    """Return a text as it is shown, with common spaces between numbers and their units."""
+    return page.inner_text(selector).replace("\u00a0", " ")
+
+
 def shown(page: Page) -> None:
     for selector in ("#overlay .expected", ".calendar button", "#sigma path", "#by-time .x-mark", "#image[src]"):
         page.wait_for_selector(selector, timeout=30_000, state="attached")
@@ -192,7 +197,7 @@ def test_the_dashboard_in_a_browser(pictured: Made) -> None:
         shown(desktop.page)
         assert desktop.page.evaluate(MARKER) == pytest.approx(sun.tolist(), abs=1.0)
         assert desktop.page.get_attribute("#health", "data-health") == "ready"
-        assert desktop.page.inner_text(f"#calibrations [data-code={REFUSED.code}]") == REFUSED.text
+        assert words(desktop.page, f"#calibrations [data-code={REFUSED.code}]") == REFUSED.text
         shows_conditions_by_their_codes(desktop.page, pictured)
         updates_live(desktop.page, pictured)
         has_a_history(desktop.page)
@@ -210,7 +215,7 @@ def test_the_dashboard_in_a_browser(pictured: Made) -> None:
         docs = opened(chromium, f"{address}docs", width=360, height=740)
         docs.page.wait_for_selector("#back_project", timeout=30_000)
         assert len(docs.page.query_selector_all(".operation")) == n_operations
-        assert "zenith_deg" in docs.page.inner_text("#back_project")
+        assert "zenith_deg" in words(docs.page, "#back_project")
         assert docs.page.evaluate("document.documentElement.scrollWidth") <= 360
         is_accessible(docs.page)
         docs.page.fill("#search", "height_sigma_m cloud")
@@ -230,11 +235,11 @@ def shows_conditions_by_their_codes(page: Page, made: Made) -> None:
     made.board.set_condition("no_frame_yet", Reason.of(Finding("not_mirrored"), code="no_frame_yet"))
     unreadable = "#reasons li[data-code=images_unreadable][data-severity=degraded]"
     page.wait_for_selector(f"{unreadable} .action", timeout=10_000)
-    assert "since 2013-05-13 09:30" in page.inner_text(f"{unreadable} small")
-    assert page.inner_text(f"{unreadable} code") == "images_unreadable"
+    assert "since 2013-05-13 09:30" in words(page, f"{unreadable} small")
+    assert words(page, f"{unreadable} code") == "images_unreadable"
     page.wait_for_selector("#reasons li[data-code=no_frame_yet]", timeout=10_000)
     assert page.query_selector("#reasons li[data-code=no_frame_yet] .action") is None  # its action is "none"
-    assert "[object" not in page.inner_text("body")
+    assert "[object" not in words(page, "body")
     assert page.get_attribute("#health", "data-health") == "attention"
     made.board.set_condition("images_unreadable", None)
     made.board.set_condition("no_frame_yet", None)
@@ -256,10 +261,10 @@ def has_a_history(page: Page) -> None:
     assert len(page.query_selector_all("#history-disk .x-mark")) == 1  # one day
     page.select_option("#history-span", "7")
     assert len(page.query_selector_all("#history-sigma .x-mark")) == 1  # made eight days after the other
-    assert page.inner_text("#history-sum").startswith("1 accepted")
+    assert words(page, "#history-sum").startswith("1 accepted")
     page.wait_for_selector("#history-disk .x-mark >> nth=2", timeout=10_000)  # now by hour
     assert len(page.query_selector_all("#history-temperature .range")) == 2  # of three hours one has no temperature
-    assert "per hour" in page.inner_text("#temperature-sum")
+    assert "per hour" in words(page, "#temperature-sum")
     assert page.evaluate(CUT_LABELS) == []
 
 
@@ -283,7 +288,7 @@ def can_be_asked(page: Page, sun: list[float]) -> None:
     page.wait_for_selector("#asked dd", timeout=10_000)
     x, y = float(page.input_value("#ask-x")), float(page.input_value("#ask-y"))
     expected = unproject(LENS, np.array([x, y]))
-    found = page.inner_text("#asked")
+    found = words(page, "#asked")
     zenith, azimuth, sigma = (float(one) for one in re.findall(r"(\d+\.\d+)°", found)[:3])
     assert zenith == pytest.approx(np.degrees(np.arccos(expected[2])), abs=2e-3)
     assert azimuth == pytest.approx(np.degrees(np.arctan2(expected[0], expected[1])) % 360.0, abs=0.02)
@@ -321,7 +326,7 @@ def compares_calibrations(page: Page) -> None:
     page.select_option("#compare-other", "first")
     page.click("#compare-form button")
     page.wait_for_selector("#compare path", timeout=10_000)
-    assert "differ by 0° RMS" in page.inner_text("#compare-sum")  # of one camera
+    assert "differ by 0° RMS" in words(page, "#compare-sum")  # of one camera
 
 
 def can_be_used_by_keyboard(page: Page) -> None:
@@ -336,12 +341,12 @@ def can_be_used_by_keyboard(page: Page) -> None:
             break
     assert reached[0].startswith("skip")
     assert "cell" in reached[-1]
-    before = page.inner_text("#day")
+    before = words(page, "#day")
     page.keyboard.press("Enter")
-    assert page.inner_text("#day") != before
+    assert words(page, "#day") != before
     page.focus("input[name=unit]:checked")
     page.keyboard.press("ArrowRight")
-    assert "distance, degrees" in page.inner_text("#by-time-legend")
+    assert "distance, degrees" in words(page, "#by-time-legend")
 
 
 def is_accessible(page: Page) -> None:
@@ -477,16 +482,16 @@ def test_what_the_dashboard_sums_up_is_of_the_accepted_sightings_and_of_cycles(m
     with serving(made) as address, browser() as chromium:  # of a service that has seen no frame since its start
         page = opened(chromium, address).page
         shown(page)
-        summary = page.inner_text("#residual-sum")
+        summary = words(page, "#residual-sum")
         assert f"last {len(points)} accepted sightings" in summary
         assert float(re.findall(r": ([\d.]+) px", summary)[0]) == pytest.approx(rmse, rel=0.01)
         page.click(f"button[data-date='{days[0].date}']")
-        assert "sun seen in 379 of 418 cycles" in page.inner_text("#day")
+        assert "sun seen in 379 of 418 cycles" in words(page, "#day")
         page.click(f"button[data-date='{days[1].date}']")  # of a version that did not count cycles
-        assert "700 sightings" in page.inner_text("#day")
+        assert "700 sightings" in words(page, "#day")
         assert page.is_visible("#image")
-        assert "Last sighting at" in page.inner_text("#sun")
-        assert "not yet" not in page.inner_text("#sun")
+        assert "Last sighting at" in words(page, "#sun")
+        assert "not yet" not in words(page, "#sun")
 
 
 @pytest.mark.browser
@@ -520,12 +525,12 @@ def test_expected_and_seen_are_of_the_time_of_the_picture(make: Any, tmp_path: P
         shown(page)
         page.wait_for_selector("#overlay .seen", state="attached")
         both = "2013-05-13 18:00:00 UTC · 2013-05-14 06:00 Pacific/Auckland"
-        assert page.inner_text("#sky-time") == f"Picture taken {both} (30 min ago)"
+        assert words(page, "#sky-time") == f"Picture taken {both} (30 min ago)"
         assert page.evaluate(MARKER) == pytest.approx(sun.tolist(), abs=1.0)
         assert page.evaluate(MARKER.replace("path.expected", ".seen")) == pytest.approx(sun.tolist(), abs=1.0)
         assert float(np.hypot(*(sun - project(LENS, sun_directions(NOON.timestamp(), SITE))))) > 30.0
-        assert re.search(r"\d px apart, 1-sigma 0\.\d+ px per axis", page.inner_text("#sun"))
-        assert "18:30:00 UTC" in page.inner_text("#replay")
+        assert re.search(r"\d px apart, 1-sigma 0\.\d+ px per axis", words(page, "#sun"))
+        assert "18:30:00 UTC" in words(page, "#replay")
 
 
 @pytest.mark.browser
@@ -592,6 +597,6 @@ def test_a_map_with_uncertain_parts_has_classes_and_is_ready_for_a_share_of_the_
         few = found["share_within"] < 0.5
         assert page.get_attribute("#health", "data-health") == ("attention" if few else "ready")
         assert len(page.query_selector_all("#sigma path[class^=shade]")) == 6
-        ends = [float(one) for one in re.findall(r"≤ ([\d.]+)°", page.inner_text("#sigma-scale"))]
+        ends = [float(one) for one in re.findall(r"≤ ([\d.]+)°", words(page, "#sigma-scale"))]
         assert ends == sorted(ends)
         assert max(values) <= ends[-1] < 1.1 * max(values)

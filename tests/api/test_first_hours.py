@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import Page
 from tests.api.conftest import LENS, NOON, Made, calibration, sightings
-from tests.api.test_dashboard import CUT_OFF, browser, in_a_browser, is_accessible, opened, serving
+from tests.api.test_dashboard import CUT_OFF, browser, in_a_browser, is_accessible, opened, serving, words
 from tests.fixtures.calibrations import SITE
 
 from sunarc.calibration.model.result import Verdict
@@ -77,7 +77,7 @@ def serve_first_poses(made: Made) -> None:
 
 
 def fact(page: Page, name: str) -> str:
-    return page.inner_text(f"#first-facts dt:text-is('{name}') + dd")
+    return words(page, f"#first-facts dt:text-is('{name}') + dd")
 
 
 @pytest.mark.browser
@@ -89,7 +89,7 @@ def test_the_first_hours_on_the_page(new: Made) -> None:
         page.wait_for_selector(FIRST, timeout=30_000)
         page.wait_for_selector("#first-checks >> text=36.60° N", timeout=30_000)
         page.wait_for_selector("#first-facts >> text=none of them was evaluated for the sun yet", timeout=30_000)
-        assert "clock: synchronised" in page.inner_text("#first-checks")
+        assert "clock: synchronised" in words(page, "#first-checks")
         # the day ends at midnight of local mean solar time, 97.485 degrees west: at 6:30 UTC
         assert "evaluated at 2013-05-14 06:29" in fact(page, "First full fit")
         assert "the sun sets at 2013-05-14 01:" in fact(page, "First full fit")
@@ -109,8 +109,8 @@ def test_the_first_hours_on_the_page(new: Made) -> None:
         page.wait_for_selector("#first-north .x-mark >> nth=3", timeout=30_000, state="attached")
         assert "± 1.3° (1-sigma) after 40 sightings" in fact(page, "North")
         assert "azimuth 121°, south-east" in fact(page, "North")
-        assert re.findall(r"[\d.]+", page.inner_text("#first-north-sum"))[-2:] == ["24", "1.3"]
-        assert "provisional" in page.inner_text("#first-title")
+        assert re.findall(r"[\d.]+", words(page, "#first-north-sum"))[-2:] == ["24", "1.3"]
+        assert "provisional" in words(page, "#first-title")
         assert page.query_selector("#overlay .first-way") is not None
         is_accessible(page)
         phone = opened(chromium, address, width=360, height=740, dark=True)
@@ -148,7 +148,7 @@ def test_a_refused_first_pose_is_said_with_its_remedy_and_a_full_fit_ends_the_se
     with serving(new) as address, browser() as chromium:
         page = opened(chromium, address).page
         page.wait_for_selector("#first-checks .warn >> text=mounting", timeout=30_000)
-        assert "reverse X" in page.inner_text("#first-checks")
+        assert "reverse X" in words(page, "#first-checks")
     with serving(made) as address, browser() as chromium:
         page = opened(chromium, address).page
         page.wait_for_selector("#overlay .expected", timeout=30_000, state="attached")

@@ -5,18 +5,12 @@ from __future__ import annotations
 import re
 
 import pytest
-from playwright.sync_api import Page
-from tests.api.test_dashboard import browser, in_a_browser, opened
+from tests.api.test_dashboard import browser, in_a_browser, opened, words
 from tests.drills import served
 
 pytestmark = [pytest.mark.browser]
 _BROKEN = r"\d (px|°|s|min|h|MB|GB|%)\b|\d ± | ± \d"
 """A number, a common space, and its unit: it may be broken between them."""
-
-
-def words(page: Page, selector: str) -> str:
-    """Return a text as it is shown, with common spaces."""
-    return page.inner_text(selector).replace("\u00a0", " ")
 
 
 @in_a_browser

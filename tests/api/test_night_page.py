@@ -13,7 +13,7 @@ import pytest
 from playwright.sync_api import Page
 from pydantic import TypeAdapter
 from tests.api.conftest import LENS, Made, write_image
-from tests.api.test_dashboard import CUT_LABELS, CUT_OFF, browser, in_a_browser, is_accessible, opened, serving
+from tests.api.test_dashboard import CUT_LABELS, CUT_OFF, browser, in_a_browser, is_accessible, opened, serving, words
 from tests.api.test_nights import NUMBERS, PARTS
 from tests.fixtures.nights import judged
 
@@ -115,7 +115,7 @@ def test_a_night_on_the_page(nightly: Made) -> None:
         desktop = opened(chromium, address)
         page = desktop.page
         page.wait_for_selector("#night:not([hidden]) #night-facts dd", timeout=60_000)
-        assert "2013-05-13" in page.inner_text("#night-title")
+        assert "2013-05-13" in words(page, "#night-title")
         assert page.is_hidden("#night-picture")  # of this one there is none
         assert page.is_hidden("#night-said")
         assert page.is_hidden("#night-legend")
@@ -125,8 +125,8 @@ def test_a_night_on_the_page(nightly: Made) -> None:
         assert len(page.query_selector_all("#night-overlay .night-missed")) == 1
         assert len(page.query_selector_all("#night-overlay .night-other")) == 1
         assert {one.text_content() for one in page.query_selector_all("#night-overlay text")} == {"Moon", "Saturn"}
-        assert "3 of 4 bright stars" in page.inner_text("#night-said")
-        facts = page.inner_text("#night-facts")
+        assert "3 of 4 bright stars" in words(page, "#night-said")
+        facts = words(page, "#night-facts")
         assert "0.05 mag fainter at its end" in facts
         assert "11 sightings in 12 slots" in facts
         assert "–" not in facts.replace("0–30°", "")  # what is not known is left out
@@ -176,7 +176,7 @@ def test_a_night_without_a_calibration_on_the_page(make: Any, store: ImageStore,
         page.wait_for_selector("#night-said >> text=no star is identified", timeout=60_000)
         assert page.is_visible("#night-picture")
         assert page.is_hidden("#night-legend")
-        facts = page.inner_text("#night-facts")
+        facts = words(page, "#night-facts")
         assert re.search(r"\b45\b", facts)
         assert [word for word in ("–", "NaN", "undefined", "null", "0 of 0") if word in facts] == []
         assert page.is_hidden("#nights-course")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 import pytest
-from tests.api.test_dashboard import browser, in_a_browser, is_accessible, opened, serving
+from tests.api.test_dashboard import browser, in_a_browser, is_accessible, opened, serving, words
 from tests.api.test_obstruction_routes import SIZE, day, learner, show
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def test_the_horizon_is_on_the_page(
             seen.page.wait_for_selector("#mask[src]", timeout=30_000, state="visible")
             assert seen.page.locator("#horizon-plot .sun-way").count() == 3
             assert seen.page.locator("#lost-plot rect").count() == 12
-            said = seen.page.inner_text("#horizon-sum")
+            said = words(seen.page, "#horizon-sum")
             assert f"{sum(horizon['lost_h']):.0f} h" in said
             assert "agrees with 0 %" in said
             assert seen.page.evaluate("document.documentElement.scrollWidth") <= width
