@@ -10,7 +10,7 @@ import pytest
 from tests.fixtures.calibrations import SITE, chosen_calibration
 
 from sunarc.calibration.answers import least_certain as subject
-from sunarc.calibration.answers.least_certain import LeastCertain, least_certain
+from sunarc.calibration.answers.least_certain import LeastCertain, find_least_certain
 from sunarc.common.array_types import FloatArray
 from sunarc.optics.camera import Camera
 from sunarc.sky.directions import angles_from_direction
@@ -34,7 +34,7 @@ def part(monkeypatch: pytest.MonkeyPatch, bad: object, site: Site = SITE, now: f
         return np.where(bad(np.asarray(zenith), np.asarray(azimuth)), 3.0, 0.1)  # type: ignore[operator]
 
     monkeypatch.setattr(subject, "sigma_deg", sigma)
-    return least_certain(UP, site, limit_deg=1.5, unix_s=now)
+    return find_least_certain(UP, site, limit_deg=1.5, unix_s=now)
 
 
 def off(azimuth: FloatArray, towards: float) -> FloatArray:
@@ -100,7 +100,7 @@ def test_in_auckland_the_sun_is_in_the_north(monkeypatch: pytest.MonkeyPatch) ->
 def test_a_camera_of_few_sightings_far_from_the_centre_is_uncertain_low_down() -> None:
     wide = np.diag([1e-5, 8e-2])
     calibration = chosen_calibration(LENS, names=("k2", "k5"), covariance=wide, orders=ORDERS)
-    found = least_certain(calibration, SITE, limit_deg=1.5, unix_s=EQUINOX)
+    found = find_least_certain(calibration, SITE, limit_deg=1.5, unix_s=EQUINOX)
     assert found is not None
     assert found.directions == ()
     assert found.from_deg == 0.0

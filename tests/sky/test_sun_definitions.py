@@ -18,7 +18,7 @@ from sunarc.sky.directions import angles_from_direction, angular_distance, direc
 from sunarc.sky.ephemeris import SECONDS_PER_JULIAN_YEAR, terrestrial_minus_universal_s
 from sunarc.sky.refraction import ASSUMED_AIR_SD, DAILY_AIR_SD, MEASURED_AIR_SD, raised, refraction_rad, upward
 from sunarc.sky.site import Site, relative_air_mass
-from sunarc.sky.sun import SOLAR_RADIUS, hour_angle, next_sun_unix_s, sun_angles, sun_directions
+from sunarc.sky.sun import SOLAR_RADIUS, find_next_sun_unix_s, hour_angle, sun_angles, sun_directions
 
 FloatArray = NDArray[np.float64]
 STANDARD = Site(latitude=36.6, longitude=-97.5, pressure=101_000.0, temperature=10.0)
@@ -291,19 +291,19 @@ def test_a_site_without_further_words_lies_at_sea_level_in_12_degrees() -> None:
 def test_the_sun_is_next_where_pvlib_has_it_cross_the_zenith_angle(latitude: float, zenith_deg: float) -> None:
     site, start = Site(latitude=latitude, longitude=10.0, pressure=101_000.0, temperature=10.0), GOLDEN_TIME
     for rising in (True, False):
-        found = next_sun_unix_s(start, site, zenith_deg=zenith_deg, rising=rising)
+        found = find_next_sun_unix_s(start, site, zenith_deg=zenith_deg, rising=rising)
         times = start + np.arange(0.0, 90_000.0, 10.0)
         stamps = pd.to_datetime(times, unit="s", utc=True)
         zenith = pvlib.solarposition.get_solarposition(stamps, latitude, 10.0, pressure=101_000.0, temperature=10.0)
         holds = (zenith["apparent_zenith"].to_numpy() < zenith_deg) == rising
         assert found == pytest.approx(times[np.argmax(holds)], abs=15.0)
-        again = next_sun_unix_s(found, site, zenith_deg=zenith_deg, rising=rising)
+        again = find_next_sun_unix_s(found, site, zenith_deg=zenith_deg, rising=rising)
         assert again == found  # where it holds already
 
 
 def test_in_the_polar_night_the_sun_is_next_in_spring_and_never_at_a_zenith_it_does_not_reach() -> None:
     polar = Site(latitude=78.2, longitude=15.6, pressure=101_000.0, temperature=-10.0)
     december = datetime(2025, 12, 1, 12, tzinfo=UTC).timestamp()
-    back = datetime.fromtimestamp(next_sun_unix_s(december, polar, zenith_deg=90.0, rising=True), UTC)
+    back = datetime.fromtimestamp(find_next_sun_unix_s(december, polar, zenith_deg=90.0, rising=True), UTC)
     assert date(2026, 2, 12) <= back.date() <= date(2026, 2, 20)  # the sun is back over Longyearbyen's horizon
-    assert math.isnan(next_sun_unix_s(december, polar, zenith_deg=20.0, rising=True))
+    assert math.isnan(find_next_sun_unix_s(december, polar, zenith_deg=20.0, rising=True))

@@ -71,7 +71,7 @@ def report_page(summary: Summary, results: Sequence[CameraResult]) -> str:
     )
 
 
-def prose(text: str) -> str:
+def write_prose(text: str) -> str:
     """Return a text as HTML: commands between backticks as code, a number and its unit in one line."""
     return _IN_ONE_LINE.sub("\u00a0", _COMMAND.sub(r"<code>\1</code>", escape(text)))
 
@@ -91,7 +91,9 @@ def _overview(report: dict[str, Any]) -> str:
     ]
     header = ("camera", "images", "suns, first pass", "found with prediction", "refused with it", "suns", "epochs")
     failures = [(code, n) for code, n in report["failures"].items()]
-    refused = "".join(f"<p><b>{escape(one['camera'])}</b>: {prose(one['reason'])}</p>" for one in report["refused"])
+    refused = "".join(
+        f"<p><b>{escape(one['camera'])}</b>: {write_prose(one['reason'])}</p>" for one in report["refused"]
+    )
     return (
         _table(header, rows)
         + refused
@@ -100,7 +102,7 @@ def _overview(report: dict[str, Any]) -> str:
 
 
 def _camera(numbers: dict[str, Any], result: CameraResult) -> str:
-    findings = "".join(f"<p>{prose(one['reason'])}</p>" for one in numbers["findings"])
+    findings = "".join(f"<p>{write_prose(one['reason'])}</p>" for one in numbers["findings"])
     verdicts = ", ".join(f"{n} {verdict}" for verdict, n in numbers["by_verdict"].items())
     head = f"<h2>{escape(result.name)}</h2>{findings}<p>Images that were looked at: {escape(verdicts or '0')}.</p>"
     night = numbers["nights"]
@@ -277,7 +279,7 @@ def _eight_bits(image: Any) -> Any:  # noqa: ANN401 - arrays
 def _table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     head = "".join(f"<th>{escape(name)}</th>" for name in header)
     body = "".join(
-        "<tr>" + "".join(f"<td{_align(cell)}>{prose(str(cell))}</td>" for cell in row) + "</tr>" for row in rows
+        "<tr>" + "".join(f"<td{_align(cell)}>{write_prose(str(cell))}</td>" for cell in row) + "</tr>" for row in rows
     )
     table = f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
     return f'<div class="wide" tabindex="0" role="group" aria-label="Table of {escape(header[0])}">{table}</div>'

@@ -107,7 +107,7 @@ def sun_directions(
     return direction_from_angles(zenith_deg=angles.apparent_zenith, azimuth_deg=angles.azimuth)
 
 
-def next_sun_unix_s(unix_s: float, site: Site, *, zenith_deg: float, rising: bool) -> float:
+def find_next_sun_unix_s(unix_s: float, site: Site, *, zenith_deg: float, rising: bool) -> float:
     """Return the first moment from a time on at which the sun stands above a zenith angle, or below it.
 
     Parameters

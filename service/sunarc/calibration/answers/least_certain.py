@@ -72,7 +72,7 @@ class LeastCertain:
         )
 
 
-def least_certain(calibration: Calibration, site: Site, *, limit_deg: float, unix_s: float) -> LeastCertain | None:
+def find_least_certain(calibration: Calibration, site: Site, *, limit_deg: float, unix_s: float) -> LeastCertain | None:
     """Return the part of the sky seen in which the 1-sigma is above a limit; None where it is nowhere.
 
     Parameters
@@ -88,12 +88,12 @@ def least_certain(calibration: Calibration, site: Site, *, limit_deg: float, uni
     if not np.any(beyond):
         return None
     zenith, azimuth = angles_from_direction(seen)
-    named = _eighths(np.asarray(azimuth), beyond)
-    part = beyond & named[_eighth(np.asarray(azimuth))]
+    named = _choose_eighths(np.asarray(azimuth), beyond)
+    part = beyond & named[_number_eighth(np.asarray(azimuth))]
     lowest, highest = np.quantile(90.0 - np.asarray(zenith)[part], _OUTERMOST)
-    today, following = _sun_there(seen, part, site, unix_s)
+    today, following = _find_sun_there(seen, part, site, unix_s)
     return LeastCertain(
-        directions=_ranges(named),
+        directions=_name_ranges(named),
         from_deg=0.0 if lowest <= _EDGES_DEG[0] else _ROUND_DEG * math.floor(lowest / _ROUND_DEG),
         to_deg=90.0 if highest >= _EDGES_DEG[1] else _ROUND_DEG * math.ceil(highest / _ROUND_DEG),
         sun_today=today,
@@ -101,19 +101,19 @@ def least_certain(calibration: Calibration, site: Site, *, limit_deg: float, uni
     )
 
 
-def _eighth(azimuth_deg: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
+def _number_eighth(azimuth_deg: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
     return np.rint(azimuth_deg / (360.0 / _POINTS)).astype(np.int64) % _POINTS
 
 
-def _eighths(azimuth_deg: FloatArray, beyond: BoolArray) -> BoolArray:
+def _choose_eighths(azimuth_deg: FloatArray, beyond: BoolArray) -> BoolArray:
     """Return which eighths (8,) of the horizon have much of the part."""
-    eighth = _eighth(azimuth_deg)
+    eighth = _number_eighth(azimuth_deg)
     n = np.bincount(eighth, minlength=_POINTS)
     share = np.bincount(eighth[beyond], minlength=_POINTS) / np.maximum(n, 1)
     return np.asarray(share >= _SHARE * np.max(share))
 
 
-def _ranges(named: BoolArray) -> tuple[str, ...]:
+def _name_ranges(named: BoolArray) -> tuple[str, ...]:
     """Return the eighths that are named, neighbours as one range; nothing where they are all, or all but one."""
     if np.count_nonzero(named) >= _POINTS - 1:
         return ()
@@ -128,7 +128,7 @@ def _ranges(named: BoolArray) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _sun_there(
+def _find_sun_there(
     seen: FloatArray, part: BoolArray, site: Site, unix_s: float
 ) -> tuple[tuple[tuple[float, float], ...], date | None]:
     """Return when the sun is in a part of the sky today, and else the next date on which it is."""

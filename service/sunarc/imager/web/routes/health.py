@@ -21,7 +21,7 @@ from sunarc.imager.web.routes.record import days_out
 from sunarc.optics.camera import Camera
 from sunarc.optics.mounting import pose_text, top_azimuth_deg
 from sunarc.optics.pose import pose_angles
-from sunarc.sky.sun import DARK_ZENITH_DEG, next_sun_unix_s, sun_angles
+from sunarc.sky.sun import DARK_ZENITH_DEG, find_next_sun_unix_s, sun_angles
 
 
 def health_routes(context: ApiContext, registry: CollectorRegistry) -> APIRouter:
@@ -95,7 +95,7 @@ def _status(context: ApiContext) -> schemas.Status:
         findings=snapshot.findings,
         camera_name=context.camera,
         frame_time=now,
-        sky=_sky(context, now),
+        sky=_describe_sky(context, now),
         is_replay=context.is_replay,
         timezone=context.timezone,
         disk_free_bytes=None if snapshot.disk is None else snapshot.disk.free_bytes,
@@ -107,9 +107,9 @@ def _status(context: ApiContext) -> schemas.Status:
     )
 
 
-def _sky(context: ApiContext, now: datetime) -> schemas.SkyNow:
+def _describe_sky(context: ApiContext, now: datetime) -> schemas.SkyNow:
     def next_time(zenith_deg: float, *, rising: bool) -> datetime | None:
-        unix_s = next_sun_unix_s(now.timestamp(), context.site, zenith_deg=zenith_deg, rising=rising)
+        unix_s = find_next_sun_unix_s(now.timestamp(), context.site, zenith_deg=zenith_deg, rising=rising)
         return utc_time(unix_s) if math.isfinite(unix_s) else None
 
     zenith = float(sun_angles(now.timestamp(), context.site).apparent_zenith)

@@ -13,7 +13,7 @@ from pydantic import BaseModel, Field
 from scipy.spatial.transform import Rotation
 
 from sunarc.calibration.answers.covariance import sky_share_within, unproject_with_sigma
-from sunarc.calibration.answers.least_certain import least_certain
+from sunarc.calibration.answers.least_certain import find_least_certain
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.common.array_types import FloatArray
@@ -252,12 +252,12 @@ def _uncertainty(context: ApiContext, calibration_id: str, cells: int, time: dat
         sigma_deg=_finite(rows),
         limit_deg=_LIMIT_DEG,
         share_within=share if math.isfinite(share) else None,
-        least_certain=_uncertain_part(context, calibration, time),
+        least_certain=_describe_uncertain_part(context, calibration, time),
     )
 
 
-def _uncertain_part(context: ApiContext, calibration: Calibration, time: datetime) -> UncertainPart | None:
-    part = least_certain(calibration, context.site, limit_deg=_LIMIT_DEG, unix_s=time.timestamp())
+def _describe_uncertain_part(context: ApiContext, calibration: Calibration, time: datetime) -> UncertainPart | None:
+    part = find_least_certain(calibration, context.site, limit_deg=_LIMIT_DEG, unix_s=time.timestamp())
     if part is None:
         return None
     return UncertainPart(

@@ -142,8 +142,8 @@ def _sun(context: ApiContext, time: datetime, *, past: datetime | None) -> Sun:
         measured = site != context.site
         pixels, covariance = sun_with_covariance(answering[1], direction[None], site=site, measured=measured)
         if np.all(np.isfinite(pixels)):
-            speed = _sky_speed_px_s(answering[1].camera, direction[None], site)
-            clock_px = 0.0 if past else _clock_error_s(context) * float(speed[0])
+            speed = _compute_sky_speed_px_s(answering[1].camera, direction[None], site)
+            clock_px = 0.0 if past else _read_clock_error_s(context) * float(speed[0])
             pixel, sigma = pixels[0].tolist(), math.hypot(float(sigma_px(covariance)[0]), clock_px)
             inside = bool(camera_sees(answering[1].camera, pixels)[0])
     return Sun(
@@ -159,13 +159,13 @@ def _sun(context: ApiContext, time: datetime, *, past: datetime | None) -> Sun:
     )
 
 
-def _clock_error_s(context: ApiContext) -> float:
+def _read_clock_error_s(context: ApiContext) -> float:
     """Return the bound of the error of the clock that says what time is now, s; 0 where it is not known."""
     clock = context.status().clock
     return 0.0 if clock is None or clock.max_error_s is None else clock.max_error_s
 
 
-def _sky_speed_px_s(camera: Camera, directions: FloatArray, site: Site) -> FloatArray:
+def _compute_sky_speed_px_s(camera: Camera, directions: FloatArray, site: Site) -> FloatArray:
     """Return how fast the earth's rotation moves the images of directions (n, 3), px/s (n,); 0 beyond the field."""
     turned = directions - _SPEED_OVER_RAD * np.cross(pole_enu(site), directions)
     moved = project(camera, turned / np.linalg.norm(turned, axis=1, keepdims=True)) - project(camera, directions)
@@ -225,7 +225,7 @@ def _residuals(calibration: Calibration, context: ApiContext, points: Sequence[S
     _, covariance = sun_with_covariance(calibration, directions, site=context.site, measured=measured)
     own = np.array([np.nan if point.sigma_px is None else point.sigma_px for point in points])
     clock_s = np.array([point.clock_error_s or 0.0 for point in points])
-    clock_px = clock_s * _sky_speed_px_s(calibration.camera, directions, context.site)
+    clock_px = clock_s * _compute_sky_speed_px_s(calibration.camera, directions, context.site)
     sigma = np.sqrt(own**2 + sigma_px(covariance) ** 2 + clock_px**2).tolist()
     off_deg = np.degrees(angular_distance(unproject(calibration.camera, observed), directions))
     return [

@@ -526,14 +526,16 @@ class RefitWorker:
         )
         served = self.camera.archive.calibrations.current(self.camera.name)
         still = (
-            "no calibration is served yet" if served is None else f"the calibration of {_date(served)} is still served"
+            "no calibration is served yet"
+            if served is None
+            else f"the calibration of {_write_date(served)} is still served"
         )
         found = Finding(f"refit_{state}", {"refit": refit.id, "message": message, "served": still})
         severity: EventSeverity = "info" if state == "accepted" else "warning"
         self.camera.add_event(found, time=now, severity=severity, details={"calibration": calibration})
 
 
-def _date(record: CalibrationRecord) -> str:
+def _write_date(record: CalibrationRecord) -> str:
     return f"{record.created_at.astimezone(UTC):%d %b %Y}"
 
 
