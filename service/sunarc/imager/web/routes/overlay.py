@@ -18,6 +18,7 @@ from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.common.array_types import FloatArray
 from sunarc.common.errors import InputError
+from sunarc.imager.archive.values import CalibrationRecord
 from sunarc.imager.web.context import ApiContext
 from sunarc.imager.web.parameters import BY_CALIBRATION, Answers, At, IfNoneMatch, Pair, Size
 from sunarc.imager.web.problems import Responses, answers
@@ -168,7 +169,7 @@ def overlay_routes(context: ApiContext) -> APIRouter:
         """Return the 1-sigma of directions over the image, on a coarse grid."""
         selected = context.of(request)
         record = selected.record(at)
-        return _send_answer(_uncertainty(selected, record.id, cells, at or selected.frame_clock()), if_none_match)
+        return _send_answer(_uncertainty(selected, record, cells, at or selected.frame_clock()), if_none_match)
 
     _add_difference(routes, context)
     return routes
@@ -238,15 +239,15 @@ def _draw_line(camera: Camera, zenith_deg: FloatArray, azimuth_deg: FloatArray) 
     return [[round(x, 2), round(y, 2)] if math.isfinite(x + y) else None for x, y in pixels.tolist()]
 
 
-def _uncertainty(context: ApiContext, calibration_id: str, cells: int, time: datetime) -> Uncertainty:
-    calibration = context.archive.calibrations.model(calibration_id)
+def _uncertainty(context: ApiContext, record: CalibrationRecord, cells: int, time: datetime) -> Uncertainty:
+    calibration = context.ages.model(record)
     x, y, pixels = _grid(calibration.camera, cells)
     with np.errstate(all="ignore"):  # what lies outside the field is answered with null
         _, sigma, inside = unproject_with_sigma(calibration, pixels)
     rows = np.where(inside, sigma, np.nan).reshape(len(y), len(x))
     share = sky_share_within(calibration, _LIMIT_DEG)
     return Uncertainty(
-        calibration=calibration_id,
+        calibration=record.id,
         x_px=x.tolist(),
         y_px=y.tolist(),
         sigma_deg=_finite(rows),
