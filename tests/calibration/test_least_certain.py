@@ -11,7 +11,7 @@ from tests.fixtures.calibrations import SITE, chosen_calibration
 
 from sunarc.calibration.answers import least_certain as subject
 from sunarc.calibration.answers.least_certain import LeastCertain, find_least_certain
-from sunarc.common.array_types import FloatArray
+from sunarc.common.array_types import BoolArray, FloatArray
 from sunarc.optics.camera import Camera
 from sunarc.sky.directions import angles_from_direction
 from sunarc.sky.site import Site
@@ -88,7 +88,7 @@ def test_two_sides_and_a_side_across_north_are_each_one_range(monkeypatch: pytes
 
 
 def test_in_auckland_the_sun_is_in_the_north(monkeypatch: pytest.MonkeyPatch) -> None:
-    def northern(zenith: FloatArray, azimuth: FloatArray) -> FloatArray:
+    def northern(zenith: FloatArray, azimuth: FloatArray) -> BoolArray:
         return (zenith > 30.0) & (off(azimuth, 0.0) < 25.0)
 
     auckland = replace(SITE, latitude=-36.85, longitude=174.76)

@@ -169,7 +169,7 @@ def _compute_sky_speed_px_s(camera: Camera, directions: FloatArray, site: Site) 
     """Return how fast the earth's rotation moves the images of directions (n, 3), px/s (n,); 0 beyond the field."""
     turned = directions - _SPEED_OVER_RAD * np.cross(pole_enu(site), directions)
     moved = project(camera, turned / np.linalg.norm(turned, axis=1, keepdims=True)) - project(camera, directions)
-    return np.nan_to_num(np.hypot(*moved.T)) * (EARTH_RATE / _SPEED_OVER_RAD)
+    return np.asarray(np.nan_to_num(np.hypot(*moved.T)) * (EARTH_RATE / _SPEED_OVER_RAD))
 
 
 def compute_sun_track(context: ApiContext, day: date, *, step_s: int, past: datetime | None = None) -> SunTrack:
