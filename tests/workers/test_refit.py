@@ -130,7 +130,7 @@ def test_a_worse_fit_is_refused_kept_and_served_to_nobody(
     assert kept.findings[0].code == "direction_sigma_increased"
     told = archive.events.find("roof")[0]
     assert told.kind == "refit_refused"
-    assert told.findings[0].data["served"] == f"the calibration of {current.created_at:%d %b %Y} is still served"
+    assert told.findings[0]["data"]["served"] == f"the calibration of {current.created_at:%d %b %Y} is still served"
     assert told.text.startswith("the calibration of ")
 
 
