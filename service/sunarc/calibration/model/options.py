@@ -28,8 +28,8 @@ class LensTolerances:
     decentering_higher : p3 and p4.
     skew_px, aspect_px : skew, and αx − αy.
     circle_center_px, circle_focal_length_px : how well an image circle tells the principal point and the focal length.
-    square_odds : odds, before any sighting, that pixels are square: of a machine-vision camera; in files of unknown
-        history a program may have stretched the images (`UNKNOWN_HISTORY`).
+    square_odds : odds, before any sighting, that pixels are square: 100 of a machine-vision camera; of images that a
+        program may have stretched 5.
     center_fraction, focal_length_fraction : the same without an image circle, as fractions of the image's shorter
         side and of the focal length found.
     """
@@ -49,10 +49,6 @@ class LensTolerances:
     def __post_init__(self) -> None:
         """Refuse invalid tolerances."""
         require_bounds(self, section_path="calibration.tolerances")
-
-
-UNKNOWN_HISTORY = LensTolerances(square_odds=5.0)
-"""Tolerances of images and tables of which nobody says what was done with them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
