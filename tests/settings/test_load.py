@@ -200,8 +200,12 @@ def test_an_empty_table_in_place_of_a_value_is_refused(folder: Path, name: str) 
 
 
 def test_sections_whose_settings_are_all_commented_out_are_read(folder: Path) -> None:
-    empty = "".join(f"[{section}]\n" for section in ("capture", "days", "refit.selection", "calibration.paper"))
-    assert load_settings(write(folder, SITE + empty)).capture == CaptureOptions()
+    assert load_settings(write(folder, f"{SITE}[capture]\n")).capture == CaptureOptions()
+
+
+@pytest.mark.parametrize("section", ["days", "refit.selection", "calibration.paper"])
+def test_a_section_that_is_no_more_is_refused_even_empty(folder: Path, section: str) -> None:
+    assert refusal(write(folder, f"{SITE}[{section}]\n")).startswith(f"{section}: ")
 
 
 def test_a_variable_that_is_no_setting_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

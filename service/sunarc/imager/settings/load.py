@@ -24,8 +24,6 @@ _CONFIG_VARIABLE = "SUNARC_CONFIG"
 _KNOWN = {setting.name: setting for setting in all_settings()}
 _SECTIONS = {name.partition(".")[0] for name in _KNOWN if "." in name}
 _SECTION_OF_SOURCE = {"aravis": "camera", "folder": "folder", "http": "http", "replay": "replay", "rtsp": "rtsp"}
-_FORMER_SECTIONS = {"calibration.paper", "calibration.tolerances", "days", "refit.selection"}
-"""Sections whose settings are all commented out in the example of 0.2.0, and went away."""
 
 
 def load_settings(path: Path | None) -> Settings:
@@ -64,7 +62,7 @@ def _load_tables(tables: Mapping[str, Any], model: type[Loaded], where: str) -> 
     given = _merge_tables(tables, _read_environment())
     try:
         _refuse_names(given)
-        given = _without_unused_sources(_without_former_sections(given))
+        given = _without_unused_sources(given)
         # JSON mode takes lists for tuples and texts for paths, and strict mode no number in quotes and no true for 1.
         return model.model_validate_json(json.dumps(given, default=str), strict=True)
     except ValidationError as error:
@@ -118,7 +116,7 @@ def _merge_tables(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[st
 def _refuse_names(given: Mapping[str, Any]) -> None:
     """Raise where a name is no setting."""
     for name, value in _list_values(given):
-        if value == {} and name in _SECTIONS | _FORMER_SECTIONS:
+        if value == {} and name in _SECTIONS:
             continue
         if name in _SECTIONS:
             raise InputError(
@@ -128,15 +126,6 @@ def _refuse_names(given: Mapping[str, Any]) -> None:
             near = get_close_matches(name, _KNOWN, n=1)
             remedy = f"did you mean {near[0]}?" if near else "remove it or correct its spelling"
             raise InputError(field=name, problem="unknown setting", remedy=remedy)
-
-
-def _without_former_sections(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Return nested tables without the sections that went away; they are empty, since their settings are refused."""
-    return {
-        name: _without_former_sections(value, f"{prefix}{name}.") if isinstance(value, dict) else value
-        for name, value in table.items()
-        if prefix + name not in _FORMER_SECTIONS
-    }
 
 
 def _without_unused_sources(given: dict[str, Any]) -> dict[str, Any]:
