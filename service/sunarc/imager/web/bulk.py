@@ -238,6 +238,23 @@ _BINARY = {"schema": {"type": "string", "format": "binary"}}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Table:
+    """Rows of an answer.
+
+    Attributes
+    ----------
+    columns : names of the columns.
+    compute : returns the rows for those of the request: `compute(answering, rows)`; of one draw of an ensemble
+        `compute(answering, ensemble, draw, rows)`.
+    as_json : returns the rows as a JSON object: `as_json(answering, rows)`, those of all draws (draws, n, columns).
+    """
+
+    columns: tuple[str, ...]
+    compute: Callable[..., Rows]
+    as_json: Callable[[Answering, Rows], dict[str, Any]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Computation:
     """One kind of request with many rows.
 
@@ -245,26 +262,22 @@ class Computation:
     ----------
     read : returns the rows of a JSON body; at most so many.
     columns : how many columns the rows may have.
-    answer : returns the answer's rows for the request's rows.
-    answer_columns : names of the answer's columns.
-    as_json : returns the answer's rows as a JSON object.
-    draw : returns the rows of one draw of an ensemble, (n, `draw_columns`), for the request's rows.
-    draw_columns : names of its columns.
-    draws_as_json : returns the rows of all draws, (draws, n, columns), as a JSON object.
-    double : answer in double precision whatever the question has.
-    times : returns the times of the rows, s since 1970; None where they have none. Then the times choose what answers.
+    answer, drawn : the answer's rows, and those of each draw.
+    time_column : column of the times of the rows, s since 1970, where the rows have so many columns: they choose what
+        answers. Then all is in double precision.
     """
 
     read: Callable[[bytes, int], FloatArray]
     columns: tuple[int, ...]
-    answer: Callable[[Answering, Rows], Rows]
-    answer_columns: tuple[str, ...]
-    as_json: Callable[[Answering, Rows], dict[str, Any]]
-    draw: Callable[[Answering, Ensemble, int, Rows], Rows]
-    draw_columns: tuple[str, ...]
-    draws_as_json: Callable[[FloatArray], dict[str, Any]]
-    double: bool = False
-    times: Callable[[Rows], FloatArray | None] = lambda _: None
+    answer: Table
+    drawn: Table
+    time_column: int | None = None
+
+    def times(self, rows: Rows) -> FloatArray | None:
+        """Return the times of rows that have one each; None of others."""
+        if self.time_column is None or rows.shape[1] <= self.time_column:
+            return None
+        return np.ascontiguousarray(rows[:, self.time_column], dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -341,11 +354,12 @@ def _json(computation: Computation, question: Question, body: bytes, now: Answer
     rows = computation.read(body, most)
     require_few(len(rows) * question.draws, most=most, field="draws")
     answering = now or _answering(computation, question, rows)
-    answer = {"calibration": answering.record.id} | computation.as_json(answering, computation.answer(answering, rows))
+    table, drawn = computation.answer, computation.drawn
+    answer = {"calibration": answering.record.id} | table.as_json(answering, table.compute(answering, rows))
     if question.draws:
         ensemble = _ensemble(answering, question)
-        drawn = np.array([computation.draw(answering, ensemble, draw, rows) for draw in ensemble], dtype=np.float64)
-        answer["draws"] = computation.draws_as_json(drawn)
+        draws = np.array([drawn.compute(answering, ensemble, draw, rows) for draw in ensemble], dtype=np.float64)
+        answer["draws"] = drawn.as_json(answering, draws)
     content = to_json(answer, inf_nan_mode="null")
     return Response(content, media_type=_JSON, headers=_calibrations(answering))
 
@@ -358,22 +372,22 @@ async def _rows(computation: Computation, slots: ComputeSlots, question: Questio
     if rows.dtype == np.float32 and computation.times(rows) is not None:
         problem = "holds times in single precision, which are off by up to 64 s"
         raise InputError(field="body", problem=problem, remedy="send float64")
-    rows = rows.astype(np.float64) if computation.double else rows
+    rows = rows if computation.time_column is None else rows.astype(np.float64)
     require_few(len(rows) * question.draws, most=most, field="draws")
-    columns = computation.draw_columns if question.draws else computation.answer_columns
-    width = len(columns)
+    table = computation.drawn if question.draws else computation.answer
+    width = len(table.columns)
     request.state.use.grow(bytes_ahead(rows, width) + (rows.nbytes if rows.flags.owndata else 0))
     answering = await run_in_threadpool(_answering, computation, question, rows)
-    answers: list[Callable[[Rows], Rows]] = [partial(computation.answer, answering)]
+    answers: list[Callable[[Rows], Rows]] = [partial(table.compute, answering)]
     if question.draws:
         ensemble = await run_in_threadpool(_ensemble, answering, question)
-        answers = [partial(computation.draw, answering, ensemble, draw) for draw in ensemble]
+        answers = [partial(table.compute, answering, ensemble, draw) for draw in ensemble]
     return rows_response(
         rows,
         answers,
         draws=question.draws,
         width=width,
-        headers=_calibrations(answering) | {"sunarc-columns": ",".join(columns)},
+        headers=_calibrations(answering) | {"sunarc-columns": ",".join(table.columns)},
         slot=partial(slots.slot, client),
     )
 

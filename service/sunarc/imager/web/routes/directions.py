@@ -18,6 +18,7 @@ from sunarc.imager.web.bulk import (
     ComputeSlots,
     Question,
     RowsRoute,
+    Table,
     compute,
     describe_body,
     row_responses,
@@ -115,7 +116,7 @@ def _as_precise(rows: FloatArray, question: Rows) -> Rows:
     return rows.astype(np.float32) if question.dtype == np.float32 else rows
 
 
-def _direction_draws_json(drawn: FloatArray) -> dict[str, Any]:
+def _direction_draws_json(_answering: Answering, drawn: Rows) -> dict[str, Any]:
     return {
         "zenith_deg": drawn[..., 0].tolist(),
         "azimuth_deg": drawn[..., 1].tolist(),
@@ -123,7 +124,7 @@ def _direction_draws_json(drawn: FloatArray) -> dict[str, Any]:
     }
 
 
-def _pixel_draws_json(drawn: FloatArray) -> dict[str, Any]:
+def _pixel_draws_json(_answering: Answering, drawn: Rows) -> dict[str, Any]:
     return {"pixels": [finite_rows(rows) for rows in drawn]}
 
 
@@ -140,20 +141,12 @@ def _pixels_json(_answering: Answering, rows: Rows) -> dict[str, Any]:
 _BACK_PROJECTION = Computation(
     read=read_pixels,
     columns=(2,),
-    answer=_back_project,
-    answer_columns=BACK_PROJECTED,
-    as_json=_directions_json,
-    draw=_draw_directions,
-    draw_columns=BACK_PROJECTED[:5],
-    draws_as_json=_direction_draws_json,
+    answer=Table(columns=BACK_PROJECTED, compute=_back_project, as_json=_directions_json),
+    drawn=Table(columns=BACK_PROJECTED[:5], compute=_draw_directions, as_json=_direction_draws_json),
 )
 _PROJECTION = Computation(
     read=_read_directions,
     columns=(3,),
-    answer=_project,
-    answer_columns=PROJECTED,
-    as_json=_pixels_json,
-    draw=_draw_pixels,
-    draw_columns=PROJECTED[:2],
-    draws_as_json=_pixel_draws_json,
+    answer=Table(columns=PROJECTED, compute=_project, as_json=_pixels_json),
+    drawn=Table(columns=PROJECTED[:2], compute=_draw_pixels, as_json=_pixel_draws_json),
 )

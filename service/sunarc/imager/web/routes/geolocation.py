@@ -215,13 +215,6 @@ def _require_each(n_times: int, n_points: int) -> None:
         raise InputError(field="at", problem=problem, remedy=remedy)
 
 
-def _times(points: Rows) -> FloatArray | None:
-    """Return the times of points that have one each, s since 1970."""
-    if points.shape[1] <= _TIME:
-        return None
-    return np.ascontiguousarray(points[:, _TIME], dtype=np.float64)
-
-
 def _locate(answering: bulk.Answering, points: Rows) -> Rows:
     exact = np.asarray(points, dtype=np.float64)
     if answering.each is None:
@@ -272,7 +265,7 @@ def _draw_places(answering: bulk.Answering, ensemble: Ensemble, draw: int, point
         return np.concatenate([_row(cloud)[:, :6], _row(shadow)[:, :6]], axis=1)
 
 
-def _place_draws_json(drawn: FloatArray) -> dict[str, Any]:
+def _place_draws_json(_answering: bulk.Answering, drawn: Rows) -> dict[str, Any]:
     parts = {"cloud": drawn[..., :6], "shadow": drawn[..., 6:]}
     return {part: {name: rows[..., k].tolist() for k, name in enumerate(_OF_ONE[:6])} for part, rows in parts.items()}
 
@@ -327,12 +320,11 @@ def _columns_by_name(rows: Rows) -> dict[str, Any]:
 _GEOLOCATION = bulk.Computation(
     read=_read,
     columns=(3, 4, _TIME + 1),
-    answer=_locate,
-    answer_columns=LOCATED,
-    as_json=_geolocation_json,
-    draw=_draw_places,
-    draw_columns=(*_OF_ONE[:6], *(f"shadow_{name}" for name in _OF_ONE[:6])),
-    draws_as_json=_place_draws_json,
-    double=True,
-    times=_times,
+    answer=bulk.Table(columns=LOCATED, compute=_locate, as_json=_geolocation_json),
+    drawn=bulk.Table(
+        columns=(*_OF_ONE[:6], *(f"shadow_{name}" for name in _OF_ONE[:6])),
+        compute=_draw_places,
+        as_json=_place_draws_json,
+    ),
+    time_column=_TIME,
 )
