@@ -6,7 +6,7 @@ import secrets
 
 import pytest
 
-from sunarc.imager.workers.http_exchange import authorization, challenges_in, offers
+from sunarc.imager.runtime.http_exchange import authorization, challenges_in, offers
 
 LOGIN = ("Mufasa", "Circle of Life")
 NONCE = "7ypf/xlj9XXwfDPEoM4URrv/xwf94BcCAzFZH4GiTo0v"

@@ -41,11 +41,11 @@ from sunarc.imager.commands.first_look import TriedPicture, judge_site, look_for
 from sunarc.imager.live.folder_conditions import time_rules
 from sunarc.imager.live.folder_files import is_image
 from sunarc.imager.live.rtsp import make_client
+from sunarc.imager.runtime import http_exchange
 from sunarc.imager.runtime.clock import Clock, SystemClock, host_clock_state
 from sunarc.imager.runtime.host import listen, prepare_state
 from sunarc.imager.settings.model import Settings
 from sunarc.imager.web.middleware.admission import read_token
-from sunarc.imager.workers import http_exchange
 from sunarc.imager.workers.calibrating.provisional_pose import FirstPose
 from sunarc.imager.workers.hub_connection import HubConnection, HubRefusal
 from sunarc.imager.workers.push import Sink

@@ -17,8 +17,8 @@ import cv2
 from sunarc.common.findings import Finding
 from sunarc.imager.cameras.options import RtspOptions, SnapshotOptions
 from sunarc.imager.live.snapshots import PictureClient, Snapshot, SnapshotClient, encode_png
+from sunarc.imager.runtime import http_exchange
 from sunarc.imager.runtime.clock import Clock
-from sunarc.imager.workers import http_exchange
 from sunarc.imager.workers.options import read_login
 from sunarc.sources.source_files import MOST_PIXELS
 

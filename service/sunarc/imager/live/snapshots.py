@@ -26,10 +26,10 @@ from sunarc.imager.cameras.frame import Frame
 from sunarc.imager.cameras.options import SnapshotOptions
 from sunarc.imager.live.file_frames import make_file_frame
 from sunarc.imager.live.live_images import LiveImage, LiveImages
+from sunarc.imager.runtime import http_exchange
 from sunarc.imager.runtime.clock import Clock
 from sunarc.imager.runtime.loop import DropOldestQueue, Loop
 from sunarc.imager.runtime.status import CameraStatus, CaptureStatus, Reason, StatusRegistry, condition
-from sunarc.imager.workers import http_exchange
 from sunarc.imager.workers.clock_watch import FrameTime
 from sunarc.imager.workers.compose import NOT_WRITTEN
 from sunarc.imager.workers.options import CaptureOptions, read_login

@@ -25,7 +25,7 @@ from sunarc.imager.archive.day_digests import StoredDays
 from sunarc.imager.archive.feed_rows import FeedRow, feed_lines
 from sunarc.imager.archive.outbox import OutboxPosition
 from sunarc.imager.runtime.clock import Clock
-from sunarc.imager.workers.http_exchange import HttpAnswer, HttpRequest, Limit, Trust, UnfinishedError, fetch
+from sunarc.imager.runtime.http_exchange import HttpAnswer, HttpRequest, Limit, Trust, UnfinishedError, fetch
 from sunarc.imager.workers.options import HubOptions
 
 _WITHIN_S = 30.0

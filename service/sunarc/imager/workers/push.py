@@ -21,10 +21,10 @@ from sunarc.common.errors import ConfigurationError, InputError, OutsideError
 from sunarc.common.utc import rfc3339
 from sunarc.imager.archive.archive import Archive
 from sunarc.imager.archive.notices import CameraState, Notice
+from sunarc.imager.runtime import http_exchange
 from sunarc.imager.runtime.clock import Clock
 from sunarc.imager.runtime.loop import Attempts, Loop, Pauses
 from sunarc.imager.runtime.status import Reason, StatusRegistry, condition, make_condition, worker_code
-from sunarc.imager.workers import http_exchange
 from sunarc.imager.workers.options import read_secret
 
 _log = logging.getLogger(__name__)
