@@ -13,7 +13,7 @@ from tests.fixtures.cameras import INFO
 from tests.workers.clock_faults import START, Imager
 
 from sunarc.imager.archive.archive import Archive
-from sunarc.imager.archive.sightings import LENS_CHANGED
+from sunarc.imager.archive.epochs import LENS_CHANGED
 from sunarc.imager.cameras.frame import CameraInfo
 from sunarc.imager.runtime.clock import ClockState
 

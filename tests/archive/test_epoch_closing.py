@@ -11,7 +11,7 @@ import pytest
 
 from sunarc.common.errors import InputError
 from sunarc.imager.archive.archive import Archive, open_archive
-from sunarc.imager.archive.sightings import LENS_CHANGED
+from sunarc.imager.archive.epochs import LENS_CHANGED
 
 from .conftest import NOON
 from .test_calibrations import MAY, document, served

@@ -17,9 +17,9 @@ import pytest
 from sunarc.common.errors import InputError, OutsideError
 from sunarc.common.utc import parse_time
 from sunarc.formats.csv_files import read_pairs, read_sightings, write_columns, write_sightings
+from sunarc.imager.archive.cameras import SITE_LIMIT_M, distance_m, require_same_site
 from sunarc.imager.archive.database.store import Reserve
 from sunarc.imager.archive.images import DiskOptions, ImageStore
-from sunarc.imager.archive.sightings import SITE_LIMIT_M, distance_m, require_same_site
 from sunarc.imager.archive.values import CameraRecord
 from sunarc.sky.site import Site
 

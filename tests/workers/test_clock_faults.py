@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from sunarc.common.errors import InputError, NotFoundError
-from sunarc.imager.archive.sightings import LENS_CHANGED, MOVED
+from sunarc.imager.archive.epochs import LENS_CHANGED
+from sunarc.imager.archive.sightings import MOVED
 from sunarc.imager.archive.values import Day, SunPoint
 from sunarc.imager.workers.clock_watch import UNKNOWN_ERROR_S
 

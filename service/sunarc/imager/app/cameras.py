@@ -9,7 +9,7 @@ from datetime import datetime
 from sunarc.common.errors import ConfigurationError, InputError
 from sunarc.common.findings import Finding
 from sunarc.imager.archive.archive import Archive
-from sunarc.imager.archive.sightings import require_same_site
+from sunarc.imager.archive.cameras import require_same_site
 from sunarc.imager.archive.values import TO_ACKNOWLEDGE, CameraRecord, Event
 from sunarc.imager.cameras.aravis import open_aravis
 from sunarc.imager.cameras.frame import CameraInfo, SkyCamera

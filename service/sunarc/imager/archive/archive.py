@@ -14,16 +14,18 @@ from sqlalchemy import URL, Engine
 from sunarc.common.errors import OutsideError
 from sunarc.common.findings import Finding
 from sunarc.imager.archive.calibrations import CalibrationStore
+from sunarc.imager.archive.cameras import CameraStore
 from sunarc.imager.archive.database import connections
 from sunarc.imager.archive.database.recovery import Recovery, rebuild
 from sunarc.imager.archive.database.schema import UPGRADE_SERVER, require_file, require_head
 from sunarc.imager.archive.database.store import Database
 from sunarc.imager.archive.days import DayStore, NightStore
+from sunarc.imager.archive.epochs import EpochStore
 from sunarc.imager.archive.events import ConditionStore, EventStore, HousekeepingStore, RefitStore
 from sunarc.imager.archive.notices import NoticeStore
 from sunarc.imager.archive.outbox import Outbox
 from sunarc.imager.archive.seen_files import SeenFileStore
-from sunarc.imager.archive.sightings import CameraStore, EpochStore, SightingStore
+from sunarc.imager.archive.sightings import SightingStore
 from sunarc.imager.archive.values import Event, EventSeverity
 from sunarc.sky.site import Site
 

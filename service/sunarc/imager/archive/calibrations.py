@@ -34,9 +34,10 @@ from sunarc.imager.archive.calibration_rows import (
 from sunarc.imager.archive.columns import copy_used, keep_used, sightings_used_by
 from sunarc.imager.archive.database.store import Database, Part, given, read_values
 from sunarc.imager.archive.database.tables import calibration, pose_epoch, sun_point
+from sunarc.imager.archive.epochs import LENS_CHANGED, not_closed
 from sunarc.imager.archive.events import acknowledge_at, insert_event
 from sunarc.imager.archive.pictures_of_one_time import ELSEWHERE
-from sunarc.imager.archive.sightings import LENS_CHANGED, MOVED, not_closed
+from sunarc.imager.archive.sightings import MOVED
 from sunarc.imager.archive.values import (
     ACTIVATED_BY_OPERATOR,
     CalibrationRecord,

@@ -1,35 +1,19 @@
-"""Cameras, their pose epochs, and the sightings made in them."""
+"""Sightings of the service and of image files, in the pose epochs of their cameras."""
 
 from __future__ import annotations
 
-from bisect import bisect_right
 from collections import Counter
-from collections.abc import Container, Iterable, Mapping, Sequence
-from dataclasses import fields, replace
+from collections.abc import Container, Iterable, Mapping
+from dataclasses import fields
 from datetime import date, datetime, timedelta
 from typing import Literal, NamedTuple
 
-import numpy as np
-from sqlalchemy import (
-    BigInteger,
-    ColumnElement,
-    Connection,
-    and_,
-    func,
-    insert,
-    or_,
-    select,
-    text,
-    type_coerce,
-    update,
-)
+from sqlalchemy import BigInteger, ColumnElement, Connection, and_, func, select, text, type_coerce, update
 
 from sunarc.common.array_types import FloatArray, IntArray
-from sunarc.common.errors import InputError
 from sunarc.common.findings import Finding
 from sunarc.common.utc import DAY_S
 from sunarc.detection.values import Detection
-from sunarc.imager.archive.calibration_rows import SERVED
 from sunarc.imager.archive.columns import (
     CandidateColumns,
     keep_measured,
@@ -40,23 +24,14 @@ from sunarc.imager.archive.columns import (
     read_levels,
     read_times,
 )
-from sunarc.imager.archive.database import tables
-from sunarc.imager.archive.database.store import Database, Part, given, insert_new, read_values, upsert
+from sunarc.imager.archive.database.store import Part, given, insert_new, upsert
 from sunarc.imager.archive.database.tables import sun_point
+from sunarc.imager.archive.epochs import assign_epochs
 from sunarc.imager.archive.events import insert_event
 from sunarc.imager.archive.pictures_of_one_time import ELSEWHERE, judge_pictures
-from sunarc.imager.archive.values import (
-    CameraRecord,
-    Event,
-    PoseEpoch,
-    SightingCounts,
-    SunPoint,
-    SunPointColumns,
-    field_values,
-)
+from sunarc.imager.archive.values import Event, SightingCounts, SunPoint, SunPointColumns, field_values
 from sunarc.sky.days import SECONDS_PER_DEGREE, day_bounds_unix_s, solar_date
 from sunarc.sky.night import SUN
-from sunarc.sky.site import Site
 from sunarc.sources.image_key import ImageKey
 
 SUPERSEDED = (Finding("sighting_superseded"),)
@@ -114,8 +89,6 @@ FROZEN: Literal["frozen"] = "frozen"
 """Verdict on a sighting in an image that the camera had delivered before."""
 MOVED = (Finding("camera_had_moved"),)
 """Findings of a sighting that was found elsewhere and accepted once the camera was known to have moved."""
-LENS_CHANGED = "lens"
-"""Reason of a pose epoch that also has another lens: nothing from before says anything of it."""
 
 
 _FIRST_OF_EACH_DAY = text(
@@ -133,155 +106,6 @@ _FIRST_OF_EACH_DAY = text(
     """
 )
 """One index lookup a day; five years take milliseconds."""
-
-
-class CameraStore(Part):
-    """The cameras that are known."""
-
-    def __init__(self, database: Database) -> None:
-        super().__init__(database)
-        self._saved: dict[str, CameraRecord] = {}
-
-    def save(self, record: CameraRecord) -> None:
-        """Save a camera, in place of the stored one of the same name."""
-        with self._database.writing() as connection:
-            upsert(connection, tables.camera, field_values(record), key=["name"])
-        self._saved = {**self._saved, record.name: record}
-
-    def saved(self) -> tuple[CameraRecord, ...]:
-        """Return the cameras that this object has stored."""
-        return tuple(self._saved.values())
-
-    def all(self) -> tuple[CameraRecord, ...]:
-        """Return the known cameras by name."""
-        return self._database.values(select(tables.camera).order_by(tables.camera.c.name), CameraRecord)
-
-    def get(self, name: str) -> CameraRecord | None:
-        """Return the camera of a name; None where it is not known."""
-        return next(
-            iter(self._database.values(select(tables.camera).where(tables.camera.c.name == name), CameraRecord)), None
-        )
-
-
-class EpochStore(Part):
-    """The pose epochs of cameras."""
-
-    def open(self, camera: str, *, at: datetime, reason: str) -> PoseEpoch:
-        """Begin a new pose epoch: the one before ends, and sightings from `at` on move to the new one."""
-        epochs = tables.pose_epoch.c
-        # Read under the write lock, so that no other thread opens an epoch between the check and the row.
-        with self._database.writing() as connection:
-            statement = select(tables.pose_epoch).where(epochs.camera == camera)
-            before = read_values(connection, statement, PoseEpoch)
-            # a closed epoch has no duration, but its beginning stays unique
-            if any(e.started_at >= at for e in before if e.ended_at != e.started_at or e.started_at == at):
-                raise InputError(
-                    field="at", problem="a pose epoch began at that time or later", remedy="give a later time"
-                )
-            epoch = PoseEpoch(id=_make_epoch_id(connection, camera), camera=camera, started_at=at, reason=reason)
-            closing = update(tables.pose_epoch).where(epochs.camera == camera, epochs.ended_at.is_(None))
-            connection.execute(closing.values(ended_at=at))
-            connection.execute(insert(tables.pose_epoch).values(field_values(epoch)))
-            moving = update(sun_point).where(sun_point.c.camera == camera, sun_point.c.time >= at)
-            connection.execute(moving.values(pose_epoch=epoch.id))
-        return epoch
-
-    def split(self, camera: str, *, at: datetime, reason: str) -> tuple[PoseEpoch, PoseEpoch]:
-        """Divide the pose epoch that `at` lies in, and return both parts; sightings go with their part.
-
-        The part that calibrations answered for keeps the id: the later one where they all answer from `at` on, else
-        the earlier one.
-
-        Raises
-        ------
-        InputError : no epoch has `at` within it, or one that began at `at` was closed as wrong.
-        """
-        epochs = tables.pose_epoch.c
-        with self._database.writing() as connection:
-            statement = select(tables.pose_epoch).where(epochs.camera == camera).order_by(epochs.started_at)
-            every = read_values(connection, statement, PoseEpoch)
-            begun = [
-                epoch for epoch in every if epoch.started_at < at and (epoch.ended_at is None or at < epoch.ended_at)
-            ]
-            if not begun:
-                raise InputError(field="at", problem="not within a pose epoch", remedy="give a time within one")
-            if any(epoch.started_at == at for epoch in every):
-                raise InputError(
-                    field="at",
-                    problem="an epoch that began at that time was closed as wrong",
-                    remedy="give another time",
-                )
-            divided, new = begun[-1], _make_epoch_id(connection, camera)
-            first = _read_first_answer_time(connection, divided.id)
-            keeps_later = first is not None and first >= at
-            earlier = replace(divided, id=new if keeps_later else divided.id, ended_at=at)
-            later = replace(divided, id=divided.id if keeps_later else new, started_at=at, reason=reason)
-            remaining, added = (later, earlier) if keeps_later else (earlier, later)
-            connection.execute(update(tables.pose_epoch).where(epochs.id == divided.id).values(field_values(remaining)))
-            connection.execute(insert(tables.pose_epoch).values(field_values(added)))
-            side = sun_point.c.time < at if keeps_later else sun_point.c.time >= at
-            moving = update(sun_point).where(sun_point.c.camera == camera, sun_point.c.pose_epoch == divided.id, side)
-            connection.execute(moving.values(pose_epoch=new))
-        return earlier, later
-
-    def at(self, camera: str, at: datetime, *, reason: str) -> PoseEpoch:
-        """Return the pose epoch of a moment; the first one reaches back to the earliest moment asked for."""
-        with self._database.writing() as connection:
-            return _epoch_at(connection, camera, at, reason)
-
-    def current(self, camera: str, *, at: datetime | None = None) -> PoseEpoch | None:
-        """Return the pose epoch that goes on, or the one of the moment `at`; None before the first."""
-        epochs = tables.pose_epoch.c
-        newest = select(tables.pose_epoch).where(epochs.camera == camera, not_closed())
-        newest = newest.order_by(epochs.started_at.desc()).limit(1)
-        found = self._database.values(newest if at is None else newest.where(epochs.started_at <= at), PoseEpoch)
-        return found[0] if found else None
-
-    def find(self, camera: str, *, include_closed: bool = False) -> tuple[PoseEpoch, ...]:
-        """Return a camera's pose epochs, the first one first; those closed by an operator only if asked."""
-        epochs = tables.pose_epoch.c
-        filters = [epochs.camera == camera, *([] if include_closed else [not_closed()])]
-        return self._database.values(select(tables.pose_epoch).where(*filters).order_by(epochs.started_at), PoseEpoch)
-
-
-def _epoch_at(connection: Connection, camera: str, at: datetime, reason: str) -> PoseEpoch:
-    """Return the pose epoch of a moment; the first one is opened, or reaches back to the moment."""
-    epochs = tables.pose_epoch.c
-    known = _read_epochs(connection, camera)
-    if not known:
-        first = PoseEpoch(id=f"{camera}-1", camera=camera, started_at=at, reason=reason)
-        connection.execute(insert(tables.pose_epoch).values(field_values(first)))
-        return first
-    if at < known[0].started_at:
-        connection.execute(update(tables.pose_epoch).where(epochs.id == known[0].id).values(started_at=at))
-        return replace(known[0], started_at=at)
-    return _find_last_begun(known, at)
-
-
-def _read_epochs(connection: Connection, camera: str) -> tuple[PoseEpoch, ...]:
-    statement = select(tables.pose_epoch).where(tables.pose_epoch.c.camera == camera, not_closed())
-    return read_values(connection, statement.order_by(tables.pose_epoch.c.started_at), PoseEpoch)
-
-
-def _find_last_begun(epochs: Sequence[PoseEpoch], at: datetime) -> PoseEpoch:
-    return epochs[bisect_right(epochs, at, key=lambda epoch: epoch.started_at) - 1]
-
-
-def _assign_epochs(connection: Connection, points: Sequence[SunPoint], reason: str) -> Sequence[SunPoint]:
-    """Return the sightings, those without a pose epoch in that of their time.
-
-    In the transaction that stores them: an epoch that is opened before it is found here, and one that is opened after
-    it moves them.
-    """
-    without = [point for point in points if not point.pose_epoch]
-    epochs: dict[str, tuple[PoseEpoch, ...]] = {}
-    for camera in {point.camera for point in without}:
-        _epoch_at(connection, camera, min(point.time for point in without if point.camera == camera), reason)
-        epochs[camera] = _read_epochs(connection, camera)
-    return [
-        point if point.pose_epoch else replace(point, pose_epoch=_find_last_begun(epochs[point.camera], point.time).id)
-        for point in points
-    ]
 
 
 class SightingStore(Part):
@@ -326,7 +150,7 @@ class SightingStore(Part):
             for camera in {point.camera for point in kept}:
                 times = [point.time for point in kept if point.camera == camera]
                 keep_measured(connection, camera, (c.camera == camera, c.time.between(min(times), max(times))))
-            for point in _assign_epochs(connection, kept, first_epoch):
+            for point in assign_epochs(connection, kept, first_epoch):
                 if point.folder:
                     _set_missing_folder(connection, point)
                 upsert(connection, sun_point, field_values(point), key=_KEY)
@@ -352,7 +176,7 @@ class SightingStore(Part):
             keep_measured(connection, camera, of_images)
             before = int(connection.scalar(count) or 0)
             connection.execute(aside.values(accepted=False, verdict="set_aside", findings=_NOT_NAMED_AGAIN))
-            for point in _assign_epochs(connection, named, FIRST_SIGHTING):
+            for point in assign_epochs(connection, named, FIRST_SIGHTING):
                 upsert(connection, sun_point, field_values(point), key=_KEY)
             return int(connection.scalar(count) or 0) - before
 
@@ -407,7 +231,7 @@ class SightingStore(Part):
             return 0
         self._database.prepare_months([point.time for point in new])
         with self._database.writing() as connection:
-            rows = [field_values(point) for point in _assign_epochs(connection, new, first_epoch)]
+            rows = [field_values(point) for point in assign_epochs(connection, new, first_epoch)]
             return insert_new(connection, sun_point, rows)
 
     def widen_clock_errors(self, camera: str, *, since: datetime, until: datetime, error_s: float) -> int:
@@ -588,19 +412,6 @@ def _make_day_counts(day: int, rows: list[tuple[str, bool, int, float | None]]) 
     )
 
 
-def _make_epoch_id(connection: Connection, camera: str) -> str:
-    """Return an id for a new pose epoch; rows that cannot be read are counted, for their ids are taken."""
-    count = select(func.count()).select_from(tables.pose_epoch).where(tables.pose_epoch.c.camera == camera)
-    return f"{camera}-{(connection.scalar(count) or 0) + 1}"
-
-
-def _read_first_answer_time(connection: Connection, pose_epoch: str) -> datetime | None:
-    """Return from when on a calibration of a pose epoch answered; None where none did."""
-    c = tables.calibration.c
-    filters = (c.pose_epoch == pose_epoch, c.state.in_(SERVED))
-    return connection.scalar(select(c.valid_from).where(*filters).order_by(c.valid_from).limit(1))
-
-
 def _make_filters(
     camera: str | None,
     *,
@@ -617,12 +428,6 @@ def _make_filters(
         (c.accepted.__eq__, accepted),
         (c.pose_epoch.__eq__, pose_epoch),
     )
-
-
-def not_closed() -> ColumnElement[bool]:
-    """Return the condition that a pose epoch has a duration: one that was closed as wrong ends where it began."""
-    epochs = tables.pose_epoch.c
-    return or_(epochs.ended_at.is_(None), epochs.ended_at > epochs.started_at)
 
 
 def _clock_error_condition(largest_s: float | None) -> list[ColumnElement[bool]]:
@@ -658,34 +463,3 @@ def make_sun_point(
         ingest_pass=ingest_pass,
         **{name: getattr(detection, name) for name in _SHARED},
     )
-
-
-_EARTH_RADIUS_M = 6_371_000.0
-SITE_LIMIT_M = 500.0
-"""A site that is wrong by this much turns the sun by 0.0045 degrees, about the best accuracy that is stated."""
-
-
-def require_same_site(record: CameraRecord, site: Site) -> None:
-    """Raise `InputError` when the settings name another site than the archive has for the camera.
-
-    Its sightings, poses and calibrations are directions of the sun at the stored site; at another one the same camera
-    would seem to have been turned.
-    """
-    distance = distance_m(record.site, site)
-    if distance > SITE_LIMIT_M:
-        raise InputError(
-            field="site",
-            problem=f"latitude {site.latitude:g}, longitude {site.longitude:g} is {distance / 1e3:.1f} km from "
-            f"{record.latitude:g}, {record.longitude:g}, where the archive has camera {record.name!r} "
-            f"(limit {SITE_LIMIT_M / 1e3:g} km)",
-            remedy="correct [site]; or, at a new site, set `name` to a new one (or `state` to an empty folder)",
-        )
-
-
-def distance_m(first: Site, second: Site) -> float:
-    """Return the great-circle distance of two places in metres (haversine, a sphere)."""
-    a, b = np.radians([first.latitude, second.latitude])
-    east = np.radians(second.longitude - first.longitude)
-    # The haversine stays exact for near places, where the cosine rule loses all its digits.
-    square = np.sin((b - a) / 2.0) ** 2 + np.cos(a) * np.cos(b) * np.sin(east / 2.0) ** 2
-    return float(2.0 * _EARTH_RADIUS_M * np.arcsin(np.sqrt(min(square, 1.0))))

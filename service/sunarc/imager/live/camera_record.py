@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, NamedTuple
 from sunarc.common.errors import InputError
 from sunarc.common.findings import Finding
 from sunarc.imager.archive.archive import Archive
-from sunarc.imager.archive.sightings import LENS_CHANGED, require_same_site
+from sunarc.imager.archive.cameras import require_same_site
+from sunarc.imager.archive.epochs import LENS_CHANGED
 from sunarc.imager.archive.values import CameraRecord, Event
 
 if TYPE_CHECKING:

@@ -24,7 +24,7 @@ from sunarc.formats.calibration_document import to_document
 from sunarc.formats.lens_prior import read_lens_type
 from sunarc.imager.archive.archive import CameraArchive
 from sunarc.imager.archive.calibrations import PROVISIONAL
-from sunarc.imager.archive.sightings import LENS_CHANGED
+from sunarc.imager.archive.epochs import LENS_CHANGED
 from sunarc.imager.archive.values import CalibrationRecord, PoseEpoch
 from sunarc.imager.workers.calibrating.solver_process import columns_to_sightings
 from sunarc.imager.workers.options import LensPriorOptions

@@ -32,7 +32,7 @@ from sunarc.common.findings import Data, Finding
 from sunarc.common.utc import DAY_S, rfc3339, utc_time
 from sunarc.formats.calibration_document import to_document
 from sunarc.imager.archive.archive import CameraArchive
-from sunarc.imager.archive.sightings import LENS_CHANGED
+from sunarc.imager.archive.epochs import LENS_CHANGED
 from sunarc.imager.archive.values import (
     CalibrationRecord,
     Event,

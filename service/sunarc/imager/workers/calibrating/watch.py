@@ -24,9 +24,9 @@ from sunarc.common.findings import Finding
 from sunarc.common.utc import MICROSECOND, utc_time
 from sunarc.imager.archive.archive import CameraArchive
 from sunarc.imager.archive.calibrations import EPOCH_CLOSED
+from sunarc.imager.archive.epochs import LENS_CHANGED
 from sunarc.imager.archive.move_pictures import MovePictures
 from sunarc.imager.archive.pictures_of_one_time import ELSEWHERE
-from sunarc.imager.archive.sightings import LENS_CHANGED
 from sunarc.imager.archive.values import (
     CAMERA_CHANGES,
     TO_ACKNOWLEDGE,
