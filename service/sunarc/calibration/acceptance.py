@@ -144,7 +144,7 @@ def growth(succession: Succession) -> Data | None:
 def allowed_growth(succession: Succession) -> float:
     """Return the factor 1.15; the factor 4 for a fit of more days and about as many sightings."""
     current = succession.current
-    return _FOUND_OUT if current is not None and _knows_more(succession.candidate, current) else _WORSE
+    return _FOUND_OUT if current is not None and _has_more_evidence(succession.candidate, current) else _WORSE
 
 
 def largest_growth(succession: Succession) -> float:
@@ -163,11 +163,11 @@ def unproven_change(succession: Succession) -> Data | None:
     One that contradicts the current calibration is refused in any case.
     """
     candidate, current = succession.candidate, succession.changed_from
-    if current is None or _met_better(candidate, current, succession.unseen):
+    if current is None or _predicts_unseen_better(candidate, current, succession.unseen):
         return None
     if disagreement(candidate, current)[0] > SHOWN:
         return None
-    difference, first, second = _over_the_sky(candidate, current)
+    difference, first, second = _compare_over_sky(candidate, current)
     stated = max(float(np.sqrt(np.mean(np.trace(part, axis1=1, axis2=2)))) for part in (first, second))
     return {"change_px": float(np.sqrt(np.mean(np.sum(difference**2, axis=-1)))), "stated_px": stated}
 
@@ -177,7 +177,7 @@ def stated_sigmas(candidate: Calibration, current: Calibration) -> dict[str, flo
     return {"now_deg": fit_direction_sigma_rms_deg(candidate), "before_deg": fit_direction_sigma_rms_deg(current)}
 
 
-def _knows_more(candidate: Calibration, current: Calibration) -> bool:
+def _has_more_evidence(candidate: Calibration, current: Calibration) -> bool:
     """Return whether a fit uses days that the current one does not, and about as much in addition."""
     new, old = candidate.evidence, current.evidence
     return bool(set(new.days) - set(old.days)) and new.n_used > 0.8 * old.n_used
@@ -188,12 +188,12 @@ def says_the_same(candidate: Calibration, current: Calibration) -> bool:
     new, old = candidate.evidence, current.evidence
     if (new.days, new.n_used, candidate.method) != (old.days, old.n_used, current.method):
         return False
-    difference, _, uncertainty = _over_the_sky(candidate, current)
+    difference, _, uncertainty = _compare_over_sky(candidate, current)
     moved = float(np.sum(difference**2)) <= _NEW**2 * float(np.sum(np.trace(uncertainty, axis1=1, axis2=2)))
     return moved and math.isclose(candidate.sky_rms_deg, current.sky_rms_deg, rel_tol=_NEW)
 
 
-def _met_better(candidate: Calibration, current: Calibration, unseen: Sightings | None) -> bool:
+def _predicts_unseen_better(candidate: Calibration, current: Calibration, unseen: Sightings | None) -> bool:
     """Return whether the candidate predicts sightings that the current one did not use far better than that does."""
     noise = candidate.evidence.sigma_px * math.sqrt(max(candidate.evidence.inflation, 1.0))
     if unseen is None or len(unseen) == 0 or not noise > 0.0:
@@ -222,7 +222,7 @@ def disagreement(first: Calibration, second: Calibration) -> tuple[float, float]
 
     They contradict where their distance is beyond five of their joint sigmas.
     """
-    difference, square = _in_joint_sigmas(first, second)
+    difference, square = _distances_in_joint_sigmas(first, second)
     if difference.size == 0:
         return 1.0, math.inf
     return float(np.mean(square > _FAR_SIGMAS**2)), float(np.max(np.linalg.norm(difference, axis=-1)))
@@ -230,17 +230,17 @@ def disagreement(first: Calibration, second: Calibration) -> tuple[float, float]
 
 def apart_sigmas(first: Calibration, second: Calibration) -> float:
     """Return the root mean square distance of two calibrations over the sky per axis, in their joint sigmas."""
-    _, square = _in_joint_sigmas(first, second)
+    _, square = _distances_in_joint_sigmas(first, second)
     return math.sqrt(0.5 * float(np.mean(square))) if square.size else math.inf
 
 
-def _in_joint_sigmas(first: Calibration, second: Calibration) -> tuple[FloatArray, FloatArray]:
+def _distances_in_joint_sigmas(first: Calibration, second: Calibration) -> tuple[FloatArray, FloatArray]:
     """Return how far two calibrations are apart over the sky, (n, 2) px, and its square (n,) in their joint sigmas."""
-    difference, a_covariance, b_covariance = _over_the_sky(first, second)
+    difference, a_covariance, b_covariance = _compare_over_sky(first, second)
     return difference, squared_sigmas(difference, a_covariance + b_covariance + 1e-12 * np.eye(2))
 
 
-def _over_the_sky(first: Calibration, second: Calibration) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _compare_over_sky(first: Calibration, second: Calibration) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return how far two calibrations are apart, (n, 2) px, and the covariances of both where they see the sky."""
     directions = hemisphere(400)
     a, a_covariance = project_with_covariance(without_clock(first), directions)

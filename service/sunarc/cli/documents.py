@@ -60,26 +60,26 @@ def export_calibration(
     Example: sunarc export --calibration calibration.json --format opencv -o fisheye.yml
     """
     if target is None:
-        document = _document(calibration, at=at, accept_refused=accept_refused)
+        document = _read_document(calibration, at=at, accept_refused=accept_refused)
         one = exported(document, format_, draws=draws, seed=seed)
         sys.stdout.buffer.write(one.content)
         print(f"{format_}: {one.error}", file=sys.stderr)
         return
     into_folder = is_set(format_, target)
-    documents = _documents(calibration, at=at, into_folder=into_folder, accept_refused=accept_refused)
+    documents = _read_documents(calibration, at=at, into_folder=into_folder, accept_refused=accept_refused)
     for one in write_exports(documents, format_, target, draws=draws, seed=seed):
         for name in () if into_folder else one.beside:
             print(f"{format_}: wrote {name} beside it", file=sys.stderr)
         print(f"{one.name if into_folder else format_}: {one.error}", file=sys.stderr)
 
 
-def _documents(path: Path, *, at: str | None, into_folder: bool, accept_refused: bool) -> list[dict[str, object]]:
+def _read_documents(path: Path, *, at: str | None, into_folder: bool, accept_refused: bool) -> list[dict[str, object]]:
     """Return the document of a file; where a set is written, those of all JSON files of a folder."""
     paths = sorted(path.glob("*.json")) if into_folder and path.is_dir() else [path]
-    return [_document(one, at=at, accept_refused=accept_refused) for one in paths]
+    return [_read_document(one, at=at, accept_refused=accept_refused) for one in paths]
 
 
-def _document(path: Path, *, at: str | None, accept_refused: bool) -> dict[str, object]:
+def _read_document(path: Path, *, at: str | None, accept_refused: bool) -> dict[str, object]:
     try:
         found = json.loads(read_file(path))
     except (ValueError, RecursionError):
@@ -110,8 +110,8 @@ def compare(
     if as_json:
         print_json(found)
         return
-    rows: list[list[Any]] = [_row("whole sky", found)]
-    rows += [_row("zenith angle {:.0f}-{:.0f}°".format(*one["zenith_deg"]), one) for one in found["by_zenith"]]
+    rows: list[list[Any]] = [_make_row("whole sky", found)]
+    rows += [_make_row("zenith angle {:.0f}-{:.0f}°".format(*one["zenith_deg"]), one) for one in found["by_zenith"]]
     columns = ("", "n", "RMS px", "max px", "RMS °", "max °")
     console = Console(soft_wrap=True)
     console.print(table(columns, rows))
@@ -132,7 +132,7 @@ def compare(
         )
 
 
-def _row(name: str, one: dict[str, Any]) -> list[Any]:
+def _make_row(name: str, one: dict[str, Any]) -> list[Any]:
     sizes = (one[key] for key in ("rms_px", "max_px", "rms_deg", "max_deg"))
     return [name, one["n"], *("" if value is None else f"{value:.4g}" for value in sizes)]
 

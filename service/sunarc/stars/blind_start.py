@@ -159,14 +159,14 @@ def refined(
     for reach, faintest in rounds:
         for _ in range(_STEPS):
             radius = max(reach * focal, _LEAST_REACH_PX)
-            pairs = _nearest(camera, images, radius, faintest)
+            pairs = _pair_nearest(camera, images, radius, faintest)
             if pairs[0].shape[0] < _FEWEST:
                 return None
-            camera, scatter = _step(camera, pairs, (start, sigma), radius)
+            camera, scatter = _gauss_newton_step(camera, pairs, (start, sigma), radius)
     return Refined(camera, scatter)
 
 
-def _nearest(
+def _pair_nearest(
     camera: Camera, images: Sequence[NightDetections], radius: float, faintest: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return directions (n, 3) of stars and pixels (n, 2) of their mutually nearest detections."""
@@ -191,7 +191,7 @@ def _image_sky(camera: Camera, sky: NightSky) -> NightSky:
     return sky.select(np.all((pixels > -0.5) & (pixels < size - 0.5), axis=-1))
 
 
-def _step(
+def _gauss_newton_step(
     camera: Camera, pairs: tuple[FloatArray, FloatArray], prior: tuple[FloatArray, FloatArray], radius: float
 ) -> tuple[Camera, float]:
     """Return the camera after a robust Gauss-Newton step, and the scatter about it before."""
@@ -264,21 +264,21 @@ def blind_start(
     options : what is known of the camera.
     """
     known = BlindOptions() if options is None else options
-    moving = [_without_still(image, images) for image in images]
+    moving = [_remove_still_detections(image, images) for image in images]
     pairs = image_pairs([image.unix_s for image in moving], [image.stars.pixels for image in moving])
     if not pairs:
-        return _by_pattern(images, site, image_size, known)
-    turns = turnings(pairs, _field(site, image_size, known))
+        return _start_by_pattern(images, site, image_size, known)
+    turns = turnings(pairs, _make_search_range(site, image_size, known))
     if not turns or turns[0].share < _LEAST_SHARE:
         share = turns[0].share if turns else 0.0
-        return _no_camera(Finding("blind_no_turning", {"share": share, "limit": _LEAST_SHARE}))
-    found = _hypotheses(turns, moving, images, site, image_size)
+        return _make_refusal(Finding("blind_no_turning", {"share": share, "limit": _LEAST_SHARE}))
+    found = _list_hypotheses(turns, moving, images, site, image_size)
     if not found:
-        return _no_camera(Finding("blind_no_stars", {"share": turns[0].share}))
-    return _decide(found, site, known)
+        return _make_refusal(Finding("blind_no_stars", {"share": turns[0].share}))
+    return _decide_start(found, site, known)
 
 
-def _no_camera(*findings: Finding) -> BlindStart:
+def _make_refusal(*findings: Finding) -> BlindStart:
     return BlindStart(accepted=False, findings=findings)
 
 
@@ -295,7 +295,7 @@ _PROVEN_LOG10_CHANCE = -20.0
 """Of a rough camera, which ends the search: chance brings one in 1e20 images."""
 
 
-def _by_pattern(
+def _start_by_pattern(
     images: Sequence[NightDetections], site: Site, image_size: tuple[int, int], known: BlindOptions
 ) -> BlindStart:
     """Return the camera that matches the bright stars of one image far beyond chance, or the reason of its lack."""
@@ -303,21 +303,21 @@ def _by_pattern(
     if not lit:
         if len(images) == 1:  # more images are not what is missing
             n = len(images[0].stars)
-            return _no_camera(Finding("stars_few", {"n": n, "limit": _FEWEST, "detected": n}))
+            return _make_refusal(Finding("stars_few", {"n": n, "limit": _FEWEST, "detected": n}))
         turn = math.degrees(SIDEREAL_RATE * float(np.ptp([image.unix_s for image in images]))) if images else 0.0
         few = {"n": len(images), "turn_deg": turn, "limit": _LEAST_TURN_DEG}
-        return _no_camera(Finding("blind_few_images", few))
+        return _make_refusal(Finding("blind_few_images", few))
     found = [one for image in lit[:_MOST_TRIED] for one in _refine_patterns(image, images, site, image_size, known)]
     found.sort(key=lambda one: one.log10_chance)
     if not found or found[0].log10_chance > MOST_LOG10_CHANCE:
         chance = found[0].log10_chance if found else 0.0
         data = {"log10_chance": chance, "limit": MOST_LOG10_CHANCE, "n": len(lit[0].stars)}
-        return _no_camera(Finding("blind_no_pattern", data))
+        return _make_refusal(Finding("blind_no_pattern", data))
     if found[0].stars == 0:
         unnamed = {"log10_chance": found[0].log10_chance}
         why = tuple(finding for one in found[0].matched for finding in one.matches.findings)
-        return _no_camera(Finding("blind_pattern_not_named", unnamed), *why)
-    return _decide(found, site, known)
+        return _make_refusal(Finding("blind_pattern_not_named", unnamed), *why)
+    return _decide_start(found, site, known)
 
 
 def _refine_patterns(
@@ -328,7 +328,7 @@ def _refine_patterns(
     known: BlindOptions,
 ) -> list[_Hypothesis]:
     """Return the refined cameras of one image that name its stars, the least probable by chance first."""
-    field = _field(site, image_size, known)
+    field = _make_search_range(site, image_size, known)
     radius = field.radius_px
     if known.circle is None:
         least, greatest = (share * min(image_size) for share in _PATTERN_OF_SIDE)
@@ -357,12 +357,12 @@ def _refine_patterns(
     found: list[_Hypothesis] = []
     for _, near in first[:_PATTERNS_REFINED]:
         better = refined(near, alone, _LAST_ROUNDS)
-        if better is not None and not any(_same(better.camera, other.camera) for other in found):
-            found.append(_judged(better, images)._replace(log10_chance=chance(better.camera)))
+        if better is not None and not any(_is_same_camera(better.camera, other.camera) for other in found):
+            found.append(_name_stars(better, images)._replace(log10_chance=chance(better.camera)))
     return found
 
 
-def _without_still(image: NightDetections, every: Sequence[NightDetections]) -> NightDetections:
+def _remove_still_detections(image: NightDetections, every: Sequence[NightDetections]) -> NightDetections:
     """Return an image without the detections that stand on the same pixels in most others, though the sky turned."""
     stars = image.stars
     others = [
@@ -378,7 +378,7 @@ def _without_still(image: NightDetections, every: Sequence[NightDetections]) -> 
     return NightDetections(unix_s=image.unix_s, stars=stars.select(~still), sky=image.sky)
 
 
-def _field(site: Site, image_size: tuple[int, int], options: BlindOptions) -> SearchRange:
+def _make_search_range(site: Site, image_size: tuple[int, int], options: BlindOptions) -> SearchRange:
     short, long = min(image_size), max(image_size)
     colatitude, tilt = math.radians(90.0 - site.latitude), math.radians(options.max_tilt_deg)
     centre = (0.5 * image_size[0] - 0.5, 0.5 * image_size[1] - 0.5)
@@ -395,7 +395,7 @@ def _field(site: Site, image_size: tuple[int, int], options: BlindOptions) -> Se
     )
 
 
-def _hypotheses(
+def _list_hypotheses(
     turns: Sequence[Turning],
     moving: Sequence[NightDetections],
     images: Sequence[NightDetections],
@@ -409,13 +409,13 @@ def _hypotheses(
     found: list[_Hypothesis] = []
     for _, camera in rough[:_MOST_REFINED]:
         better = refined(camera, moving)
-        if better is not None and not any(_same(better.camera, one.camera) for one in found):
-            found.append(_judged(better, images))
+        if better is not None and not any(_is_same_camera(better.camera, one.camera) for one in found):
+            found.append(_name_stars(better, images))
     found = [one for one in found if one.stars > 0]
     return sorted(found, key=lambda one: -one.stars)
 
 
-def _judged(one: Refined, images: Sequence[NightDetections]) -> _Hypothesis:
+def _name_stars(one: Refined, images: Sequence[NightDetections]) -> _Hypothesis:
     """Return the stars that a camera names."""
     camera = one.camera
     sigma = max(_LEAST_SIGMA_PX, one.scatter_px, _OF_FOCAL * camera.focal_length_px[0])
@@ -430,7 +430,7 @@ def _judged(one: Refined, images: Sequence[NightDetections]) -> _Hypothesis:
     return _Hypothesis(camera, tuple(views), tuple(matched), stars)
 
 
-def _same(first: Camera, second: Camera) -> bool:
+def _is_same_camera(first: Camera, second: Camera) -> bool:
     """Return whether two cameras see most of the sky at the same places."""
     if first.mirrored != second.mirrored:
         return False
@@ -440,7 +440,7 @@ def _same(first: Camera, second: Camera) -> bool:
     return bool(np.nanmedian(apart) < _SAME_DEG) if np.any(np.isfinite(apart)) else False
 
 
-def _decide(found: Sequence[_Hypothesis], site: Site, options: BlindOptions) -> BlindStart:
+def _decide_start(found: Sequence[_Hypothesis], site: Site, options: BlindOptions) -> BlindStart:
     best = found[0]
     rival = next((one for one in found[1:] if one.stars > _MUCH_LESS * best.stars), None)
     accepted = [view.unix_s for view, one in zip(best.views, best.matched, strict=True) if one.matches.accepted]
@@ -494,11 +494,13 @@ def phases(
 ) -> list[tuple[float, Camera]]:
     """Return the best angles about the pole as cameras, each with its share of bright stars on detections."""
     pole = pole_enu(site)
-    first = _frame(turning.pole).T @ _frame(pole)  # one of the rotations that take the pole to its place in the camera
+    first = _make_frame(turning.pole).T @ _make_frame(
+        pole
+    )  # one of the rotations that take the pole to its place in the camera
     angles = np.radians(np.arange(0.0, 360.0, _STEP_DEG))
     share = np.zeros(angles.size)
     for image in images:
-        share += _shares(turning, image, first, angles)
+        share += _share_on_detections(turning, image, first, angles)
     share /= len(images)
     found: list[tuple[float, Camera]] = []
     taken: list[float] = []
@@ -515,7 +517,7 @@ def phases(
     return found
 
 
-def _shares(turning: Turning, image: NightDetections, first: FloatArray, angles: FloatArray) -> FloatArray:
+def _share_on_detections(turning: Turning, image: NightDetections, first: FloatArray, angles: FloatArray) -> FloatArray:
     stars = image.sky.directions[image.sky.magnitude <= _BRIGHT]
     centre, focal = turning.centre, turning.focal_px
     pixels = image.stars.pixels[: _PER_STAR * stars.shape[0]]
@@ -528,7 +530,7 @@ def _shares(turning: Turning, image: NightDetections, first: FloatArray, angles:
     return count_on_detections(rays, onto, turns, shape=turning.shape, reach=_REACH, largest=MAX_ANGLE)
 
 
-def _frame(axis: FloatArray) -> FloatArray:
+def _make_frame(axis: FloatArray) -> FloatArray:
     """Return (3, 3): rows are a right-handed frame whose last is the axis."""
     other = np.eye(3)[int(np.argmin(np.abs(axis)))]
     first = np.cross(other, axis)

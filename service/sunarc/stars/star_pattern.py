@@ -98,7 +98,7 @@ def patterns(bright: Bright, *, radius_px: tuple[float, float], max_tilt: float,
     """
     if min(bright.stars.shape[0], bright.away.shape[0]) < 3:
         return []
-    turned = _turn_stars(bright.stars, _tilts(max_tilt))
+    turned = _turn_stars(bright.stars, _make_tilts(max_tilt))
     lenses = [(focal, shape) for shape in _SHAPES for focal in focal_lengths(radius_px, shape, step=_FOCAL_STEP)]
     found = [one for focal, shape in lenses for one in _search_lens(bright.away, turned, focal, shape)]
     found.sort(key=lambda one: -one.score)
@@ -114,7 +114,7 @@ def patterns(bright: Bright, *, radius_px: tuple[float, float], max_tilt: float,
     return kept
 
 
-def _tilts(greatest: float) -> FloatArray:
+def _make_tilts(greatest: float) -> FloatArray:
     """Return turns (k, 3, 3) that take the zenith to places about the axis, a step apart."""
     rings = [np.zeros((1, 3))]
     for tilt in np.arange(_TILT_STEP, greatest + 0.5 * _TILT_STEP, _TILT_STEP).tolist():
@@ -214,7 +214,7 @@ def log10_chance(camera: Camera, stars: FloatArray, magnitude: FloatArray, detec
         tests = _log10_ways(some.shape[0], _FITTED_BY) + _FITTED_BY * math.log10(near.n) + math.log10(_CHOICES)
         for of_focal in _OF_FOCAL:
             radius = of_focal * camera.focal_length_px[0]
-            met = _met(near, some, radius)
+            met = _count_matched(near, some, radius)
             share = (np.count_nonzero(apart < radius) + 1.0) / (apart.size + 1.0)
             if met > _FITTED_BY:
                 best = min(best, tests + _log10_tail(met - _FITTED_BY, some.shape[0] - _FITTED_BY, share))
@@ -238,7 +238,7 @@ def _log10_tail(least: int, count: int, share: float) -> float:
     return max(terms) + math.log10(sum(10.0 ** (term - max(terms)) for term in terms))
 
 
-def _met(detections: cKDTree, places: FloatArray, radius: float) -> int:
+def _count_matched(detections: cKDTree, places: FloatArray, radius: float) -> int:
     """Return how many detections are nearest to a star within the radius; each counts once."""
     apart, row = detections.query(places)
     return int(np.unique(np.asarray(row)[np.asarray(apart) < radius]).size)

@@ -99,7 +99,7 @@ def calibration_from_fit(fitted: FitOutcome, job: Job, *, others: Sequence[Findi
     usable, options = job.usable, job.options
     cameras = [tidied(camera, options) for camera in fitted.cameras]
     camera = cameras[-1]
-    evidence, covariance = _evidence(job, fitted), fitted.covariance.copy()
+    evidence, covariance = _make_provenance(job, fitted), fitted.covariance.copy()
     covariance[POSE, POSE] += pose_error(
         camera,
         job.site,
@@ -114,7 +114,7 @@ def calibration_from_fit(fitted: FitOutcome, job: Job, *, others: Sequence[Findi
         field=fitted.field,
         sky_rms_deg=math.nan,
         sky_max_deg=math.nan,
-        metrics=_metrics(fitted, usable, cameras),
+        metrics=_make_metrics(fitted, usable, cameras),
         pose=pose_angles(camera.rotation_cam_enu),
         backward=fit_backward(camera),
         evidence=evidence,
@@ -144,7 +144,7 @@ def tidied(camera: Camera, options: CalibrationOptions) -> Camera:
     )
 
 
-def _metrics(fitted: FitOutcome, usable: Sightings, cameras: list[Camera]) -> result.Metrics:
+def _make_metrics(fitted: FitOutcome, usable: Sightings, cameras: list[Camera]) -> result.Metrics:
     angle = np.full(len(usable), np.nan)
     for epoch, camera in enumerate(cameras):
         in_epoch = usable.epoch == epoch
@@ -159,7 +159,7 @@ def _metrics(fitted: FitOutcome, usable: Sightings, cameras: list[Camera]) -> re
     )
 
 
-def _evidence(job: Job, fitted: FitOutcome | None = None) -> result.Provenance:
+def _make_provenance(job: Job, fitted: FitOutcome | None = None) -> result.Provenance:
     """Return the evidence of a fit, or its part without one."""
     known = job.points.clock_error_s[np.isfinite(job.points.clock_error_s)]
     none = result.Provenance(
@@ -213,7 +213,7 @@ def refused(job: Job, findings: tuple[Finding, ...]) -> result.Calibration:
         metrics=result.NO_METRICS,
         pose=pose_angles(camera.rotation_cam_enu),
         backward=NO_BACKWARD,
-        evidence=_evidence(job),
+        evidence=_make_provenance(job),
         verdict=result.Verdict(accepted=False, findings=findings),
         method=options.method,
         site=job.site,
@@ -266,27 +266,27 @@ def robust_outcome(fit: FitState, usable: Sightings, options: CalibrationOptions
         inflation=float(np.mean(fit.noise.inflation)) if len(usable) else math.nan,
         radial_px=fit.scales.radial_px,
         held_out=held_out(fit, usable, without),
-        log_odds=fit.log_odds | _season_share(fit, usable) | _state_picture_change(fit, usable),
+        log_odds=fit.log_odds | _state_focal_change(fit, usable) | _state_picture_change(fit, usable),
         night=_night_difference(fit, usable),
         mixture=fit.posterior.mixture,
         doubts=found,
-        sways_deg=_sways_deg(fit, usable),
-        displaced=_displaced(fit, {*SEASONS, PICTURE, TURNING}),
+        sways_deg=_estimate_sway_deg(fit, usable),
+        displaced=_displacement_by_effects(fit, {*SEASONS, PICTURE, TURNING}),
     )
 
 
-def _sways_deg(fit: FitState, usable: Sightings) -> tuple[float, float, float]:
+def _estimate_sway_deg(fit: FitState, usable: Sightings) -> tuple[float, float, float]:
     """Return how far the mount stands turned on a day or at an hour, 1-sigma about east, north and up; 0 unproven."""
     if _is_proven(fit, TURNING):
         by_power = fit.unknowns[fit.problem.block_slice(TURNING)].reshape(3, -1) * TURNING_POWERS
         powers = np.linspace(-1.0, 1.0, 49) ** np.arange(1, len(TURNING_POWERS) + 1)[:, None]
-        return _three(TURNING_DEG * np.sqrt(np.mean((by_power @ powers) ** 2, axis=1)))
+        return _float_triple(TURNING_DEG * np.sqrt(np.mean((by_power @ powers) ** 2, axis=1)))
     if not _is_proven(fit, SWAYS):
         return 0.0, 0.0, 0.0
     of_block = fit.problem.block_slice(SWAYS)
     square = (fit.unknowns[of_block] ** 2 + np.diag(fit.posterior.covariance)[of_block]).reshape(-1, 3)
     # runs of several days have their means alone
-    return _three(SWAY_DEG * np.sqrt(np.mean(square, axis=0) * np.unique(usable.day).size / len(square)))
+    return _float_triple(SWAY_DEG * np.sqrt(np.mean(square, axis=0) * np.unique(usable.day).size / len(square)))
 
 
 def _is_proven(fit: FitState, name: str) -> bool:
@@ -294,7 +294,7 @@ def _is_proven(fit: FitState, name: str) -> bool:
     return name in fit.problem.names and result.proves(name, fit.log_odds.get(name, 0.0))
 
 
-def _displaced(fit: FitState, names: Collection[str]) -> FloatArray:
+def _displacement_by_effects(fit: FitState, names: Collection[str]) -> FloatArray:
     """Return (n, 2): by how much the proven ones of some shared errors displace the sightings, px."""
     parts = [
         fit.observed.systematic_px[..., one.columns] @ fit.unknowns[fit.problem.block_slice(one.name)]
@@ -318,13 +318,15 @@ def _state_picture_change(fit: FitState, usable: Sightings) -> dict[str, float]:
     }
 
 
-def _season_share(fit: FitState, usable: Sightings) -> dict[str, float]:
+def _state_focal_change(fit: FitState, usable: Sightings) -> dict[str, float]:
     """Return the relative change of the focal length within the record; nothing where it is not proven."""
     if not any(_is_proven(fit, name) for name in SEASONS):
         return {}
     away = usable.pixels - fit.residual - np.array(fit.problem.camera(fit.unknowns).principal_point_px)
     square = np.sum(away**2, axis=-1)
-    changes = np.sum(_displaced(fit, SEASONS) * away, axis=-1) / np.maximum(square, float(np.median(square)))
+    changes = np.sum(_displacement_by_effects(fit, SEASONS) * away, axis=-1) / np.maximum(
+        square, float(np.median(square))
+    )
     return {"season_share": float(np.ptp(changes[square >= np.median(square)]))}
 
 
@@ -337,14 +339,14 @@ def _night_difference(fit: FitState, usable: Sightings) -> result.NightDifferenc
     radial = slice(star.start, min(star.start + N_RADIAL, star.stop))
     return result.NightDifference(
         n=int(np.sum((fit.noise.weight > 0.0) & usable.night)),
-        pose_difference_deg=_three(POSE_DIFFERENCE_DEG * turn),
-        pose_sigma_deg=_three(POSE_DIFFERENCE_DEG * sigma),
+        pose_difference_deg=_float_triple(POSE_DIFFERENCE_DEG * turn),
+        pose_sigma_deg=_float_triple(POSE_DIFFERENCE_DEG * sigma),
         star_offset_px=OFFSET_PX * float(np.sum(fit.unknowns[radial])),
         star_offset_sigma_px=OFFSET_PX * math.sqrt(float(np.sum(fit.posterior.covariance[radial, radial]))),
     )
 
 
-def _three(values: FloatArray) -> tuple[float, float, float]:
+def _float_triple(values: FloatArray) -> tuple[float, float, float]:
     x, y, z = values.tolist()
     return x, y, z
 

@@ -74,7 +74,7 @@ _DAYS_OF_SEASON = 6
 """Days, as many as the waves of a season have unknowns and one more: fewer are met by any season."""
 
 
-class _View(NamedTuple):
+class _SightingsInView(NamedTuple):
     """Sightings as a camera near the one sought shows them.
 
     outwards_px: see `CalibrationOptions`.
@@ -113,7 +113,7 @@ class _View(NamedTuple):
         return np.cross(self.by_direction, self.seen.directions[:, None, :]) * math.radians(sd_deg)
 
 
-def _displacements(view: _View) -> Iterator[tuple[str, FloatArray]]:
+def _displacements(view: _SightingsInView) -> Iterator[tuple[str, FloatArray]]:
     """Yield the shared errors that may act: the name, and the displacements (n, 2, k) by each of its unknowns."""
     seen, outwards, radius = view.seen, view.outwards, view.radius[:, None]
     night = seen.night & ~np.all(seen.night)
@@ -144,54 +144,54 @@ def _displacements(view: _View) -> Iterator[tuple[str, FloatArray]]:
         daily = [CLOCK_OFFSET_S * apart, CLOCK_DRIFT_S_PER_H * view.hours[:, None] * apart]
         yield "daily_clock", by_time * np.concatenate(daily, axis=-1)[:, None]
     yield PIXELS, view.stretch
-    if _seems_to_turn(view, by_hour := _by_hour(view)):
+    if _seems_to_turn(view, by_hour := _turn_columns_by_hour(view)):
         yield TURNING, by_hour
-    if view.n_days > 1 and (before := _before_another_picture(view)) is not None:
-        columns = np.concatenate([_by_picture(view), view.turned(_STEP_DEG)], axis=-1)
+    if view.n_days > 1 and (before := _find_days_before_change(view)) is not None:
+        columns = np.concatenate([_picture_columns(view), view.turned(_STEP_DEG)], axis=-1)
         yield PICTURE, columns * before[:, None, None]
     if view.n_days >= _DAYS_OF_SEASON and np.any(seasons := season_columns(seen.unix_s)):
         for name, share in SEASONS.items():
             yield name, share * view.focal[:, :, None] * seasons[:, None]
     if view.n_days > 2:  # a mount that is turned otherwise on each run of days
         in_run, turns = view.runs(_TURNS), view.turned(SWAY_DEG)
-        if _seem_to_sway(view, in_run, turns):
+        if _seems_to_sway(view, in_run, turns):
             yield SWAYS, (turns[:, :, None] * in_run[:, None, :, None]).reshape(len(seen), 2, -1)
 
 
-def _by_hour(view: _View) -> FloatArray:
+def _turn_columns_by_hour(view: _SightingsInView) -> FloatArray:
     """Return displacements (n, 2, 9) of a mount that turns about three axes by powers of the hour of the day."""
     share = view.hours * ~view.seen.night / _HOURS
     powers = share[:, None] ** np.arange(1, len(TURNING_POWERS) + 1) * TURNING_POWERS
     return (view.turned(TURNING_DEG)[..., None] * powers[:, None, None]).reshape(len(share), 2, -1)
 
 
-def _seems_to_turn(view: _View, by_hour: FloatArray) -> bool:
+def _seems_to_turn(view: _SightingsInView, by_hour: FloatArray) -> bool:
     """Return whether displacements (n, 2, k) by the hour explain the sightings hardly worse than none, or better."""
     distance = np.linalg.norm(view.off, axis=-1) * np.sqrt(view.seen.information)
     root = counted_roots(distance, view.seen.information, floor=_NEGLIGIBLE_PX)
     size = view.at.size
     rows = np.concatenate([view.by_unknowns, by_hour, view.off[..., None]], axis=-1) * root[:, None, None]
     flat = rows.reshape(-1, rows.shape[-1])
-    products = flat.T @ flat / _variance(view, rows[..., -1], root > 0.0)[0]
+    products = flat.T @ flat / _residual_variance(view, rows[..., -1], root > 0.0)[0]
     information = products[:-1, :-1] + np.diag(np.r_[view.precision, np.ones(by_hour.shape[-1])])
     pull = products[:-1, -1] - np.r_[view.precision * view.at, np.zeros(by_hour.shape[-1])]
     with_turns, without = (float(linear_evidence(information[:k, :k], pull[:k])[0]) for k in (len(pull), size))
     return with_turns - without > TURN_ASKED
 
 
-def _by_picture(view: _View) -> FloatArray:
+def _picture_columns(view: _SightingsInView) -> FloatArray:
     """Return displacements (n, 2, 3) by another scale of the picture, and by a shift along each axis."""
     shift = np.broadcast_to(PICTURE_PX * np.eye(2), (len(view.seen), 2, 2))
     return np.concatenate([PICTURE_SCALE * view.focal[:, :, None], shift], axis=-1)
 
 
-def _before_another_picture(view: _View) -> BoolArray | None:
+def _find_days_before_change(view: _SightingsInView) -> BoolArray | None:
     """Return which sightings (n,) are of the days before another picture; None where a turn or nothing explains them.
 
     The camera, a turn and another picture are columns of one linear model; each boundary of two days is tried.
     """
     n_camera = view.by_unknowns.shape[-1]
-    rows = np.concatenate([view.by_unknowns, _by_picture(view), view.turned(_STEP_DEG)], axis=-1)
+    rows = np.concatenate([view.by_unknowns, _picture_columns(view), view.turned(_STEP_DEG)], axis=-1)
     picture, turn = n_camera + np.arange(3), n_camera + np.arange(3, 6)
     left, variance, at = view.off, 1.0, 0
     for _ in range(_PASSES):
@@ -200,14 +200,14 @@ def _before_another_picture(view: _View) -> BoolArray | None:
         weighed = np.concatenate([rows, view.off[..., None]], axis=-1) * root[:, None, None]
         daily = products_by_part(weighed, view.day)
         # by the variance of the former pass, whose scale was another one
-        steps = _Steps(daily / variance, view.at, view.precision)
+        steps = _DayStepEvidence(daily / variance, view.at, view.precision)
         both, step = steps.evidences(np.concatenate([picture, turn]))
         at = int(np.argmax(both))
         if both[at] - steps.none < STRONG_EVIDENCE:
             return None
         of_camera, of_step = rows[..., :n_camera] @ step[at][:n_camera], rows[..., n_camera:] @ step[at][n_camera:]
         left = view.off - of_camera - of_step * (view.day <= at)[:, None]
-        variance, alike = _variance(view, left * root[:, None], root > 0.0)
+        variance, alike = _residual_variance(view, left * root[:, None], root > 0.0)
     # both together always gain by the errors of the linear model
     alone, turned = (float(np.max(steps.evidences(one)[0])) for one in (picture, turn))
     turn_deg = _STEP_DEG * float(np.linalg.norm(step[at][turn]))
@@ -216,7 +216,7 @@ def _before_another_picture(view: _View) -> BoolArray | None:
     return np.asarray(view.day <= at)
 
 
-class _Steps:
+class _DayStepEvidence:
     """Evidence of a step between two days, for every boundary, the camera's unknowns integrated out."""
 
     def __init__(self, daily: FloatArray, at: FloatArray, precision: FloatArray) -> None:
@@ -250,7 +250,7 @@ def worst_day_roots(distance: FloatArray, seen: Sightings) -> FloatArray:
     return np.asarray(np.sqrt(seen.information) * (distance < CUT * sigma) / sigma)
 
 
-def _seem_to_sway(view: _View, in_run: BoolArray, turns: FloatArray) -> bool:
+def _seems_to_sway(view: _SightingsInView, in_run: BoolArray, turns: FloatArray) -> bool:
     """Return whether turns (n, 2, 3) of each run (n, k) of days explain the sightings better than none and one move."""
     distance = np.linalg.norm(view.off, axis=-1) * np.sqrt(view.seen.information)
     root = counted_roots(distance, view.seen.information, floor=_NEGLIGIBLE_PX)
@@ -260,7 +260,7 @@ def _seem_to_sway(view: _View, in_run: BoolArray, turns: FloatArray) -> bool:
     if not np.all(np.diagonal(products[:, :3, :3], axis1=1, axis2=2) > 0.0):
         return False
     left = rows[..., 3] - np.einsum("nap,np->na", rows[..., :3], _turns(products)[1][run])
-    products = products / _variance(view, left, root > 0.0)[0]
+    products = products / _residual_variance(view, left, root > 0.0)[0]
     summed = np.cumsum(products, axis=0)
     (early, before), (late, since) = (_turns(one) for one in (summed[:-1], summed[-1] - summed[:-1]))
     swaying, moved = float(np.sum(_turns(products)[0])), early + late
@@ -276,7 +276,7 @@ def _turns(products: FloatArray) -> tuple[FloatArray, FloatArray]:
     return linear_evidence(products[:, :3, :3] + np.eye(3), products[:, :3, 3])
 
 
-def _variance(view: _View, left: FloatArray, counted: BoolArray) -> tuple[float, float]:
+def _residual_variance(view: _SightingsInView, left: FloatArray, counted: BoolArray) -> tuple[float, float]:
     """Return the variance of residuals (n, 2), larger where neighbours err alike, and the correlation of these."""
     rho, error = lag_one(left, counted, neighbours(view.seen.unix_s, view.seen.day))
     alike = (1.0 + rho) / (1.0 - rho) if rho > 2.0 * error else 1.0
@@ -306,7 +306,7 @@ def add_effects(
     observed : with times, kinds and nights.
     outwards_px : see `CalibrationOptions`.
     """
-    view = _view(problem, unknowns, observed)._replace(outwards_px=outwards_px)
+    view = _make_view(problem, unknowns, observed)._replace(outwards_px=outwards_px)
     blocks, columns, start = [], [], 0
     for name, found in _displacements(view):
         acts = np.any(np.abs(found) > _NEGLIGIBLE_PX, axis=(0, 1))
@@ -318,14 +318,14 @@ def add_effects(
     return replace(problem, blocks=tuple(blocks)), replace(observed, systematic_px=together)
 
 
-def _view(problem: FitProblem, unknowns: FloatArray, observed: Sightings) -> _View:
+def _make_view(problem: FitProblem, unknowns: FloatArray, observed: Sightings) -> _SightingsInView:
     """Return the sightings as the cameras of their epochs show them; 0 where one shows nothing."""
     n = len(observed)
     wide = free_pixel_aspect(problem.prior).basis[:, STRETCH]
     stretched = np.zeros((len(Param), 2))
     stretched[LENS] = wide * np.any(wide != problem.prior.basis[:, STRETCH])
     (days, day), times = np.unique(observed.day, return_inverse=True), np.nan_to_num(observed.unix_s)
-    view = _View(
+    view = _SightingsInView(
         observed,
         0.0,
         np.zeros((n, 2, 2)),

@@ -58,7 +58,7 @@ class BasisProducts:
         if length_px not in self._axes:
             shorter = [length for length in self._axes if length < length_px]
             self._axes[length_px] = (
-                _longer(self._axes[max(shorter)], basis, max(shorter), length_px)
+                _lengthen_axes(self._axes[max(shorter)], basis, max(shorter), length_px)
                 if shorter
                 else _field_axes(self.matrix, basis, length_px)
             )
@@ -67,10 +67,10 @@ class BasisProducts:
 
 def _field_axes(products: FloatArray, basis: WaveBasis, length_px: float) -> FieldAxes:
     spread = np.sqrt(basis.variances(length_px=length_px))
-    return _principal_axes(spread, _factor(products * spread[:, None] * spread))
+    return _principal_axes(spread, _low_rank_factor(products * spread[:, None] * spread))
 
 
-def _longer(axes: FieldAxes, basis: WaveBasis, length_px: float, longer_px: float) -> FieldAxes:
+def _lengthen_axes(axes: FieldAxes, basis: WaveBasis, length_px: float, longer_px: float) -> FieldAxes:
     """Return the axes of a longer field from those of one of `length_px`, which has more of every short wave.
 
     With S and T the spreads of the two, S P S = V diag(p) V' gives T P T = B B', B = T S⁻¹ V diag(√p), and what P has
@@ -92,7 +92,7 @@ def _principal_axes(spread: FloatArray, factor: FloatArray) -> FieldAxes:
     return FieldAxes(spread[:, None] * vectors[:, informative], power[informative])
 
 
-def _factor(products: FloatArray) -> FloatArray:
+def _low_rank_factor(products: FloatArray) -> FloatArray:
     """Return B (m, few) with B B' a matrix of products of low rank: Cholesky's, the largest left over first."""
     left, rows = np.diag(products).copy(), np.zeros_like(products)
     rounding = np.finfo(np.float64).eps * float(np.max(left, initial=0.0))
@@ -312,7 +312,7 @@ class FieldSums(NamedTuple):
         lens_scales : (k, 2) of the radial distortion and of the decentering.
         square : (2,) or of both: the prior precisions of the aspect ratio and of the skew.
         """
-        precision, tried = self._precision(square), lens_scales**-2.0
+        precision, tried = self._make_precision(square), lens_scales**-2.0
         order = np.r_[np.delete(np.arange(self.at.size), _VARIED), _VARIED]
         terms = _kernels.evidence_terms(self.information, self.pull, self.at, precision, order, tried)
         weighed = precision * self.at**2
@@ -325,10 +325,10 @@ class FieldSums(NamedTuple):
         self, fields: IntArray, lens_scales: FloatArray, square: FloatArray | float = 1.0
     ) -> LensScaleEquations:
         """Return the equations with some of the fields under the same."""
-        precision = self._precision(square)
+        precision = self._make_precision(square)
         return LensScaleEquations.of(self.information[fields], self.pull[fields], self.at, precision, lens_scales**-2.0)
 
-    def _precision(self, square: FloatArray | float) -> FloatArray:
+    def _make_precision(self, square: FloatArray | float) -> FloatArray:
         precision = prior_precision(self.at.size, 1.0, 1.0, n_unit=self.n_unit)
         precision[STRETCH] = square
         return precision

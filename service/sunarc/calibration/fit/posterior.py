@@ -54,7 +54,7 @@ def seen_field(unseen: Field, normal: NormalEquations, covariance: FloatArray) -
     normal : sums over the sightings.
     covariance : C of the unknowns, (p, p).
     """
-    return replace(unseen, known=_known(unseen, normal), coupling=_coupling(covariance, unseen.cross))
+    return replace(unseen, known=_known_field_rows(unseen, normal), coupling=_coupling_matrix(covariance, unseen.cross))
 
 
 def prediction_variance(
@@ -82,7 +82,7 @@ def prediction_variance(
     return np.asarray(np.maximum(by_parameters + by_field, 0.0))
 
 
-def _known(field: Field, normal: NormalEquations) -> FloatArray:
+def _known_field_rows(field: Field, normal: NormalEquations) -> FloatArray:
     """Return K, (r, m): with the unknowns given, an axis measured to t has 1 / (1 + t) of its variance left."""
     axes = normal.ff.axes(field.basis, field.length_px)
     measured = field.amplitude_px**2 * axes.information
@@ -93,7 +93,7 @@ def _known(field: Field, normal: NormalEquations) -> FloatArray:
     )
 
 
-def _whitened(covariance: FloatArray, cross: FloatArray) -> FloatArray:
+def _whiten_cross_terms(covariance: FloatArray, cross: FloatArray) -> FloatArray:
     """Return L⁻¹ X, (p, 2 m), of terms X (2, p, m), with L Lᵀ = C the covariance of the unknowns."""
     scale = np.sqrt(np.diag(covariance))
     correlation, terms = covariance / np.outer(scale, scale), np.concatenate(list(cross / scale[:, None]), axis=-1)
@@ -105,9 +105,9 @@ def _whitened(covariance: FloatArray, cross: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.solve(root, terms))
 
 
-def _coupling(covariance: FloatArray, cross: FloatArray) -> FloatArray:
+def _coupling_matrix(covariance: FloatArray, cross: FloatArray) -> FloatArray:
     """Return B, (2, q, m), with Bᵀ B = Xᵀ C⁻¹ X."""
-    both = _whitened(covariance, cross)
+    both = _whiten_cross_terms(covariance, cross)
     values, vectors = np.linalg.eigh(both @ both.T)
     turned = vectors[:, values > _LEAST_COUPLED * values[-1]].T @ both
     return np.stack(np.split(turned, 2, axis=-1))
@@ -248,7 +248,7 @@ def stated_posterior(
         variances = {one: grid.basis.variances(length_px=one) for one in np.unique(choices.length).tolist()}
         meant = np.sum([power[choices.length == one].sum() * each for one, each in variances.items()], axis=0)
         stated_waves = amplitude**2 * grid.basis.variances(length_px=length)
-        cross = _possible(covariance, cross * np.sqrt(stated_waves / meant), stated_waves)
+        cross = _limit_cross_terms(covariance, cross * np.sqrt(stated_waves / meant), stated_waves)
     field = Field(amplitude_px=amplitude, length_px=length, basis=grid.basis, cross=cross)
     if mean is not None:
         field = seen_field(field, normal, covariance)
@@ -257,15 +257,15 @@ def stated_posterior(
         return PosteriorCovariance(covariance, field)
     values = grid.basis.values(pixels)
     stated = rows @ covariance @ rows.swapaxes(1, 2) + field.covariance(rows, values)
-    mixture = _mixture(choices.share, at_probes(choices, rows, values), stated, pixels)
+    mixture = _make_error_mixture(choices.share, at_probes(choices, rows, values), stated, pixels)
     factor = mixture.sigma_factor()
     return PosteriorCovariance(factor**2 * covariance, field.widened(factor), mixture.about(factor))
 
 
-def _possible(covariance: FloatArray, cross: FloatArray, variances: FloatArray) -> FloatArray:
+def _limit_cross_terms(covariance: FloatArray, cross: FloatArray, variances: FloatArray) -> FloatArray:
     """Return terms (2, p, m) of unknowns and waves of some variances (m,) that a covariance of both can have."""
     counts = variances > _NEGLIGIBLE_WAVE * variances.max()
-    both = _whitened(covariance, cross[:, :, counts] / np.sqrt(variances[counts]))
+    both = _whiten_cross_terms(covariance, cross[:, :, counts] / np.sqrt(variances[counts]))
     return np.asarray(cross * counts / math.sqrt(max(float(np.linalg.eigvalsh(both @ both.T)[-1]), 1.0)))
 
 
@@ -366,7 +366,7 @@ def shown_sky(problem: FitProblem, unknowns: FloatArray) -> tuple[Sightings, Flo
     return sky.select(shown), -minus[shown], rows[shown]
 
 
-def _mixture(share: FloatArray, moments: FloatArray, stated: FloatArray, pixels: FloatArray) -> ErrorMixture:
+def _make_error_mixture(share: FloatArray, moments: FloatArray, stated: FloatArray, pixels: FloatArray) -> ErrorMixture:
     """Return Gaussians (k, 3, n) of some shares (k,) as classes about stated covariances (n, 2, 2).
 
     With l₁, l₂ the eigenvalues of stated⁻¹ · moments, the square of the distance in stated sigmas is, over φ, that of a

@@ -128,10 +128,10 @@ def apply_lens_prior(
     latest = used & (seen.epoch == seen.epoch.max(initial=0))
     field_px = solved.field.amplitude_px
     if solved.camera.displacement is None and field_px < _LARGE_FIELD * solved.evidence.sigma_px:
-        field_px, changed = 0.0, _at(changed, _most_probable(changed, lens, seen, options))
-    if solved.verdict.accepted and not _as_good(changed.camera, solved, seen, latest, field_px):
+        field_px, changed = 0.0, _replace_camera(changed, _most_probable(changed, lens, seen, options))
+    if solved.verdict.accepted and not _meets_as_well(changed.camera, solved, seen, latest, field_px):
         return add_finding(solved, lens_finding("lens_prior_left_out", lens))
-    return _assessed(changed, lens, seen, latest, options)
+    return _reassess(changed, lens, seen, latest, options)
 
 
 def conditioned_lens(solved: Calibration, lens: LensType) -> Conditioned:
@@ -175,10 +175,10 @@ def moved_to_lens(solved: Calibration, lens: LensType, to: Gaussian, options: Ca
         basis = solved.field.basis
         shift = np.einsum("alm,l->am", of_field, to.mean - before.mean)
         camera = replace(camera, displacement=basis.displacement(basis.fit_coefficients(camera.displacement) + shift))
-    return _at(changed, camera)
+    return _replace_camera(changed, camera)
 
 
-def _at(solved: Calibration, camera: Camera) -> Calibration:
+def _replace_camera(solved: Calibration, camera: Camera) -> Calibration:
     """Return a calibration of another camera, its uncertainty unchanged."""
     return replace(
         solved,
@@ -209,7 +209,7 @@ def _most_probable(changed: Calibration, lens: LensType, seen: Sightings, option
     return tidied(problem.camera(unknowns), options)
 
 
-def _as_good(camera: Camera, solved: Calibration, seen: Sightings, used: BoolArray, field_px: float) -> bool:
+def _meets_as_well(camera: Camera, solved: Calibration, seen: Sightings, used: BoolArray, field_px: float) -> bool:
     """Return whether a camera meets the sightings that count about as well as the fit without the type does.
 
     `field_px` is what it may miss them by, since no lens model describes it.
@@ -223,7 +223,7 @@ def _as_good(camera: Camera, solved: Calibration, seen: Sightings, used: BoolArr
     return is_met_as_well(given, alone, sigma=solved.evidence.sigma_px, field_px=field_px, ratio=ratio)
 
 
-def _assessed(
+def _reassess(
     changed: Calibration, lens: LensType, seen: Sightings, used: BoolArray, options: CalibrationOptions
 ) -> Calibration:
     """Return a calibration with the metrics and the verdict that its camera has."""

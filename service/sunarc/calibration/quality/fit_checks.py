@@ -238,13 +238,13 @@ def largest_sky_deg(judged: JudgedFit) -> float:
     return max(judged.options.max_sky_deg, _KNOWN_LENS_SKY_DEG if judged.free != "all" else 0.0)
 
 
-def _is_unsure(judged: JudgedFit) -> bool:
+def _is_sky_sigma_too_large(judged: JudgedFit) -> bool:
     return len(judged.usable) > 0 and not judged.calibration.sky_rms_deg <= largest_sky_deg(judged)
 
 
 def determined(judged: JudgedFit) -> Data | None:
     """Return how well the sightings determine a camera that is too uncertain."""
-    if not _is_unsure(judged):
+    if not _is_sky_sigma_too_large(judged):
         return None
     usable = judged.usable
     along = sigma_deg(judged.calibration, usable.directions[usable.epoch == np.max(usable.epoch)])
@@ -266,7 +266,7 @@ def pose_sigma_deg(calibration: Calibration) -> float:
 
 def hours_missing(judged: JudgedFit) -> Data | None:
     """Return the hours of sun without a sighting, of the day with most; None where few are missing."""
-    if not _is_unsure(judged):
+    if not _is_sky_sigma_too_large(judged):
         return None
     usable, site = judged.usable, judged.calibration.site
     days, counts = np.unique(usable.day, return_counts=True)
@@ -286,7 +286,7 @@ def hours_missing(judged: JudgedFit) -> Data | None:
 def declinations_alike(judged: JudgedFit) -> Data | None:
     """Return the declinations, where the sun runs over one band of the sky on all days; None of other bodies."""
     usable, of_sun = judged.usable, judged.usable.kind == Kind.SUN
-    if not _is_unsure(judged) or judged.free != "all" or not np.any(of_sun):
+    if not _is_sky_sigma_too_large(judged) or judged.free != "all" or not np.any(of_sun):
         return None
     _, north, up = usable.directions[of_sun].T
     latitude = math.radians(judged.calibration.site.latitude)

@@ -41,15 +41,15 @@ def estimate_background(plane: Plane, *, least_noise: float) -> Background:
     plane : (rows, columns) counts.
     least_noise : counts; a flat or clipped patch has no less.
     """
-    tiles, shape = _tiles(plane)
-    median = _smoothed(np.median(tiles, axis=-1).reshape(shape))
-    level = _spread(median, plane)
-    deviation, _ = _tiles(np.abs(plane - level))
+    tiles, shape = _split_into_tiles(plane)
+    median = _smooth_grid(np.median(tiles, axis=-1).reshape(shape))
+    level = _interpolate_grid(median, plane)
+    deviation, _ = _split_into_tiles(np.abs(plane - level))
     noise = MAD_TO_SIGMA * np.median(deviation, axis=-1).reshape(shape)
-    return Background(level, np.maximum(_spread(_smoothed(noise), plane), np.float32(least_noise)))
+    return Background(level, np.maximum(_interpolate_grid(_smooth_grid(noise), plane), np.float32(least_noise)))
 
 
-def _tiles(plane: Plane) -> tuple[Plane, tuple[int, int]]:
+def _split_into_tiles(plane: Plane) -> tuple[Plane, tuple[int, int]]:
     """Return the pixels of each tile, (tiles, pixels), and how many tiles there are down and across."""
     rows, columns = (-(-size // _TILE_PX) for size in plane.shape)
     padded = np.pad(
@@ -59,12 +59,12 @@ def _tiles(plane: Plane) -> tuple[Plane, tuple[int, int]]:
     return parts.reshape(rows * columns, -1), (rows, columns)
 
 
-def _smoothed(grid: Plane) -> Plane:
+def _smooth_grid(grid: Plane) -> Plane:
     """Return a grid of tiles with the median of each tile and its neighbours: a bright star leaves no hill."""
     return np.asarray(cv2.medianBlur(grid.astype(np.float32), 3), dtype=np.float32)
 
 
-def _spread(grid: Plane, plane: Plane) -> Plane:
+def _interpolate_grid(grid: Plane, plane: Plane) -> Plane:
     """Return a grid of tiles interpolated to the pixels."""
     rows, columns = grid.shape
     whole = cv2.resize(grid, (columns * _TILE_PX, rows * _TILE_PX), interpolation=cv2.INTER_LINEAR)
@@ -114,7 +114,7 @@ def find_maxima(plane: Plane, ground: Background, clipped: BoolArray, usable: Bo
     # a clipped plateau has many equal maxima: the first of each counts
     order = np.argsort(-response[rows, columns], kind="stable")
     places = np.stack([columns, rows], axis=-1)[order].astype(np.float64)
-    places = _single(_spread_over_parts(places, plane.shape, 2 * MOST), apart * (1.0 + np.any(clipped)))
+    places = _remove_close(_spread_over_parts(places, plane.shape, 2 * MOST), apart * (1.0 + np.any(clipped)))
     return _spread_over_parts(places, plane.shape, MOST)
 
 
@@ -138,7 +138,7 @@ def rank_in_part(part: IntArray) -> IntArray:
     return rank
 
 
-def _single(places: FloatArray, apart: float) -> FloatArray:
+def _remove_close(places: FloatArray, apart: float) -> FloatArray:
     """Return places without those close to a brighter one."""
     if places.shape[0] < 2:
         return places
@@ -199,32 +199,32 @@ def fit_point_spreads(stamps: Stamps, start: FloatArray, *, gain_e: float | None
     moving = np.arange(now.shape[0])
     for _ in range(_ROUNDS):
         part, at = Stamps(*(column[moving] for column in stamps)), now[moving]
-        weight = _weights(part, at, gain_e)
-        cost, normal, gradient = _equations(part, at, weight, free)
-        step = _solve_pairs(normal + damping[moving, None, None] * _diagonal(normal), gradient)
+        weight = _pixel_weights(part, at, gain_e)
+        cost, normal, gradient = _normal_equations(part, at, weight, free)
+        step = _solve_pairs(normal + damping[moving, None, None] * _diagonal_matrices(normal), gradient)
         tried = at.copy()
         tried[:, :free] += step
         with np.errstate(over="ignore", invalid="ignore"):  # a step may lead anywhere, and is then not taken
-            better = (_equations(part, tried, weight, 0)[0] < cost) & _is_shape(tried)
+            better = (_normal_equations(part, tried, weight, 0)[0] < cost) & _has_positive_shape(tried)
         now[moving[better]] = tried[better]
         damping[moving] *= np.where(better, 0.2, 8.0)
         moving = moving[np.abs(np.einsum("nk,nk->n", step, gradient)) > _CONVERGED]
         if moving.size == 0:
             break
-    weight = _weights(stamps, now, gain_e)
-    cost, normal, _ = _equations(stamps, now, weight, free)
+    weight = _pixel_weights(stamps, now, gain_e)
+    cost, normal, _ = _normal_equations(stamps, now, weight, free)
     variance = np.asarray(np.linalg.pinv(normal, hermitian=True), dtype=np.float64)
     chi2 = cost / np.maximum(np.sum(weight > 0.0, axis=-1) - free, 1)
-    of_centre = 0.5 * (_positive(variance[:, 0, 0]) + _positive(variance[:, 1, 1]))
+    of_centre = 0.5 * (_require_positive(variance[:, 0, 0]) + _require_positive(variance[:, 1, 1]))
     return StarFits(
         parameters=now,
         sigma_px=np.sqrt(of_centre * np.maximum(chi2, 1.0) + _FLOOR_PX**2),
-        snr=now[:, 2] / np.sqrt(np.maximum(_positive(variance[:, 2, 2]), 1e-30)),
+        snr=now[:, 2] / np.sqrt(np.maximum(_require_positive(variance[:, 2, 2]), 1e-30)),
         chi2=chi2,
     )
 
 
-def _positive(variance: FloatArray) -> FloatArray:
+def _require_positive(variance: FloatArray) -> FloatArray:
     """Return variances, infinite where the pseudo-inverse of a singular matrix has 0 or a rounded negative number."""
     return np.where(variance > 0.0, variance, np.inf)
 
@@ -242,7 +242,7 @@ def ellipse_axes(shape: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.sqrt(np.maximum(half - apart, 0.0)), np.sqrt(np.maximum(half + apart, 0.0))
 
 
-def _weights(stamps: Stamps, at: FloatArray, gain_e: float | None) -> FloatArray:
+def _pixel_weights(stamps: Stamps, at: FloatArray, gain_e: float | None) -> FloatArray:
     """Return 1 over the variance of each pixel, (n, m), with the shot noise of the star where the gain is known."""
     if gain_e is None:
         return np.asarray(1.0 / stamps.variance)
@@ -259,14 +259,14 @@ def mean_width(shape: FloatArray) -> FloatArray:
     return width
 
 
-def _equations(
+def _normal_equations(
     stamps: Stamps, at: FloatArray, weight: FloatArray, free: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return chi² (n,), the normal matrices (n, k, k) and gradients (n, k) of the first `free` parameters."""
     return _kernels.point_spread_equations(stamps.x, stamps.y, stamps.value, weight, at, free)
 
 
-def _diagonal(matrices: FloatArray) -> FloatArray:
+def _diagonal_matrices(matrices: FloatArray) -> FloatArray:
     """Return the diagonals of matrices (n, k, k) as matrices; nowhere 0."""
     size = matrices.shape[-1]
     return np.asarray((np.einsum("nii->ni", matrices) + 1e-12)[..., None] * np.eye(size))
@@ -279,7 +279,7 @@ def _solve_pairs(matrices: FloatArray, right: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.solve(unit, (right * scale)[..., None])[..., 0] * scale)
 
 
-def _is_shape(parameters: FloatArray) -> BoolArray:
+def _has_positive_shape(parameters: FloatArray) -> BoolArray:
     """Return (n,): whether the inverse covariance is positive."""
     xx, xy, yy = parameters[:, 4:].T
     return np.asarray((xx > 0.0) & (yy > 0.0) & (xx * yy > xy**2))
@@ -368,15 +368,15 @@ def detect_stars(
         sharp = find_maxima(plane, ground, clipped, usable, _SHARP_WIDTH_PX)
         shapes = _measure_sharp_shapes(plane, ground, clipped, sharp, gain_e_per_count) or shapes
     if shapes is None:
-        return _none()
+        return _make_no_stars()
     width = float(np.median(mean_width(shapes[1])))
     places = find_maxima(plane, ground, clipped, usable, width)
     expected = shape_at(*shapes, places, plane.shape)
     stamps, cut_off = stamps_at(plane, ground, clipped, places, width)
     fitted = fit_point_spreads(stamps, start_at(stamps, places, expected), gain_e=gain_e_per_count, shape=False)
-    own = _own_shapes(stamps, fitted, expected, cut_off, gain_e_per_count)
+    own = _choose_shapes(stamps, fitted, expected, cut_off, gain_e_per_count)
     peak = (plane[tuple(places[:, ::-1].astype(int).T)] / full_scale).astype(np.float64)
-    stars = _stars(fitted, own, expected, cut_off, peak)
+    stars = _make_stars(fitted, own, expected, cut_off, peak)
     ratio = stars.width_px / mean_width(expected)
     near = np.hypot(*(stars.pixels - places).T) < _MOVED_PX * max(width, 1.0)
     found = stars.select((ratio > ALIKE[0]) & (ratio < ALIKE[1]) & near & (stars.snr > FAINTEST_SNR))
@@ -406,7 +406,7 @@ def _merge_cores(stars: Stars, cores: ClippedCores, width: float) -> Stars:
     return Stars(**{name: np.concatenate([getattr(kept, name), column]) for name, column in added.items()})
 
 
-def _own_shapes(
+def _choose_shapes(
     stamps: Stamps, fitted: StarFits, expected: FloatArray, clipped: BoolArray, gain_e: float | None
 ) -> FloatArray:
     """Return covariances (n, 3) px²: each bright star's own, that of its place for the others."""
@@ -418,7 +418,7 @@ def _own_shapes(
     return shape
 
 
-def _stars(fitted: StarFits, own: FloatArray, expected: FloatArray, clipped: BoolArray, peak: FloatArray) -> Stars:
+def _make_stars(fitted: StarFits, own: FloatArray, expected: FloatArray, clipped: BoolArray, peak: FloatArray) -> Stars:
     minor, major = ellipse_axes(own)
     return Stars(
         pixels=fitted.parameters[:, :2],
@@ -432,7 +432,7 @@ def _stars(fitted: StarFits, own: FloatArray, expected: FloatArray, clipped: Boo
     )
 
 
-def _none() -> Stars:
+def _make_no_stars() -> Stars:
     empty = np.zeros(0)
     return Stars(
         pixels=np.zeros((0, 2)), sigma_px=empty, flux=empty, snr=empty, peak_fraction=empty, width_px=empty,
@@ -550,13 +550,13 @@ def shape_at(known: FloatArray, shape: FloatArray, places: FloatArray, size: tup
     """Return covariances (n, 3) at places: a quadratic function of the place through those known, without outliers."""
     if known.shape[0] < _FEW:
         return np.tile(np.median(shape, axis=0), (places.shape[0], 1))
-    design, weight = _quadratic(known, size), np.ones(known.shape[0])
+    design, weight = _quadratic_terms(known, size), np.ones(known.shape[0])
     for _ in range(6):
         rows = np.sqrt(weight)[:, None]
         coefficients = np.linalg.lstsq(design * rows, shape * rows, rcond=None)[0]
         distance = np.linalg.norm(shape - design @ coefficients, axis=-1)
         weight = biweights(distance / max(4.0 * mad_sigma(distance), 1e-6))
-    smooth = _quadratic(places, size) @ coefficients
+    smooth = _quadratic_terms(places, size) @ coefficients
     minor, major = ellipse_axes(smooth)
     middle = float(np.median(mean_width(shape)))
     # far from all bright stars a quadratic may be no shape at all
@@ -565,7 +565,7 @@ def shape_at(known: FloatArray, shape: FloatArray, places: FloatArray, size: tup
     return np.asarray(smooth)
 
 
-def _quadratic(places: FloatArray, size: tuple[int, ...]) -> FloatArray:
+def _quadratic_terms(places: FloatArray, size: tuple[int, ...]) -> FloatArray:
     x, y = (places / np.array(size[::-1])).T
     return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
 
@@ -588,7 +588,7 @@ def outstanding_pixels(image: Image, *, bayer: Bayer | None = None) -> IntArray:
     image : (rows, columns) counts.
     bayer : colours of a raw mosaic.
     """
-    excess = image.astype(np.int32) - _calm(image, bayer)
+    excess = image.astype(np.int32) - _median_filter(image, bayer)
     sampled = excess[::4, ::4]
     noise = max(MAD_TO_SIGMA * float(np.median(np.abs(sampled - np.median(sampled)))), 0.5)
     found = np.flatnonzero(excess.ravel() > _OUTSTANDING * noise)
@@ -613,20 +613,20 @@ def warm_pixels(outstanding: Sequence[IntArray]) -> IntArray:
 def repaired(image: Image, warm: IntArray, *, bayer: Bayer | None = None) -> Image:
     """Return an image with the median of the neighbours (of the same colour) in place of warm pixels."""
     whole: Image = image.copy()
-    whole.ravel()[warm] = _calm(image, bayer).ravel()[warm]
+    whole.ravel()[warm] = _median_filter(image, bayer).ravel()[warm]
     return whole
 
 
-def _calm(image: Image, bayer: Bayer | None) -> Image:
+def _median_filter(image: Image, bayer: Bayer | None) -> Image:
     """Return the median of each pixel and its eight neighbours, in a mosaic those of its colour."""
     if bayer is None:
-        return _median(image)
+        return _median_of_plane(image)
     calm = np.empty(image.shape, dtype=np.uint16)
     for row in (0, 1):
         for column in (0, 1):
-            calm[row::2, column::2] = _median(image[row::2, column::2])
+            calm[row::2, column::2] = _median_of_plane(image[row::2, column::2])
     return calm
 
 
-def _median(plane: Image) -> Image:
+def _median_of_plane(plane: Image) -> Image:
     return np.asarray(cv2.medianBlur(plane.copy(), 3), dtype=np.uint16)

@@ -76,10 +76,10 @@ def map_routes(context: ApiContext, files: AnswerFiles) -> APIRouter:
         sun = None if sun_radius_deg is None else (at or selected.frame_clock(), sun_radius_deg)
         site = None if sun is None else await run_in_threadpool(selected.site_with_air_at, sun[0])
         requested = _Map(context=selected, record=record, format=format_, sun=sun, site=site)
-        tag = await run_in_threadpool(_tag, requested)
+        tag = await run_in_threadpool(_make_tag, requested)
         headers = {"etag": tag, "cache-control": "no-cache", "sunarc-calibration": record.id}
         tagged = Tagged(request=request, headers=headers, if_none_match=if_none_match)
-        return await files.answer(tagged, slots, partial(_content, requested))
+        return await files.answer(tagged, slots, partial(_make_map, requested))
 
     return routes
 
@@ -104,31 +104,33 @@ class _Map:
     site: Site | None
 
 
-def _content(requested: _Map) -> ResponseBody:
+def _make_map(requested: _Map) -> ResponseBody:
     found = back_projection_map(requested.context.ready.get(requested.record))
-    masks = _obstructions(requested.context, requested.record)
+    masks = _make_obstruction_mask(requested.context, requested.record)
     if requested.sun is not None and requested.site is not None:
-        masks |= _sun_mask(requested.site, *requested.sun, found)
+        masks |= _make_sun_mask(requested.site, *requested.sun, found)
     table = map_table(found, requested.record.document, masks=masks)
     content = table_bytes(table, requested.format)
     return ResponseBody(content=content, media_type=str(FORMATS[requested.format].media_type))
 
 
-def _tag(requested: _Map) -> str:
+def _make_tag(requested: _Map) -> str:
     """Return a tag that changes with a map: its calibration, its masks, and its writer."""
     masks = obstructions_key(requested.context, requested.record)
     parts = (masks, model_key(requested.record), sunarc.__version__, requested.format, requested.sun, requested.site)
     return make_etag(repr(parts).encode())
 
 
-def _sun_mask(site: Site, time: datetime, radius_deg: float, found: BackProjectionMap) -> dict[str, Variable]:
+def _make_sun_mask(site: Site, time: datetime, radius_deg: float, found: BackProjectionMap) -> dict[str, Variable]:
     sun = sun_directions(time.timestamp(), site).astype(np.float32)
     near = found.directions @ sun > math.cos(math.radians(radius_deg))
     of_sun = {"radius_deg": radius_deg, "time": time.isoformat()}
-    return {"sun_mask": _flags(near, "1 within a disc round the sun", "away_from_the_sun near_the_sun", of_sun)}
+    return {
+        "sun_mask": _make_flag_variable(near, "1 within a disc round the sun", "away_from_the_sun near_the_sun", of_sun)
+    }
 
 
-def _flags(holds: BoolArray, text: str, meanings: str, more: Mapping[str, Any]) -> Variable:
+def _make_flag_variable(holds: BoolArray, text: str, meanings: str, more: Mapping[str, Any]) -> Variable:
     """Return a mask as a variable of CF flags."""
     flags = {"units": "1", "flag_values": np.array([0, 1], dtype=np.uint8), "flag_meanings": meanings}
     return Variable(
@@ -136,11 +138,11 @@ def _flags(holds: BoolArray, text: str, meanings: str, more: Mapping[str, Any]) 
     )
 
 
-def _obstructions(context: ApiContext, record: CalibrationRecord) -> dict[str, Variable]:
+def _make_obstruction_mask(context: ApiContext, record: CalibrationRecord) -> dict[str, Variable]:
     hidden = hidden_by_obstructions(context, record)
     if hidden is None:
         return {}
-    return {"obstruction_mask": _flags(hidden, "1 where something hides the sky", "sky obstruction", {})}
+    return {"obstruction_mask": _make_flag_variable(hidden, "1 where something hides the sky", "sky obstruction", {})}
 
 
 _MASK = RANGED | described_answer(
@@ -178,7 +180,7 @@ def mask_routes(context: ApiContext, files: AnswerFiles) -> APIRouter:
         asked = Tagged(request=request, headers=headers | {"etag": tag}, if_none_match=if_none_match)
 
         def made() -> ResponseBody:
-            return ResponseBody(content=_mask(selected, record, axis, limit, hidden), media_type="image/png")
+            return ResponseBody(content=_make_mask_png(selected, record, axis, limit, hidden), media_type="image/png")
 
         return await files.answer(asked, slots, made)
 
@@ -203,7 +205,7 @@ def mask_routes(context: ApiContext, files: AnswerFiles) -> APIRouter:
     return routes
 
 
-def _mask(
+def _make_mask_png(
     context: ApiContext, record: CalibrationRecord, axis: FloatArray, least_cosine: float, hidden: BoolArray | None
 ) -> bytes:
     """Return a PNG of the pixels whose direction has at least a cosine to an axis, and that are not hidden."""
@@ -302,8 +304,8 @@ def remap_routes(context: ApiContext, files: AnswerFiles) -> APIRouter:
         asked = _AskedTables(grid=grid, size=size, height_m=height, half_width_m=half_width)
         selected, record = await run_in_threadpool(context.answering, request, at)
         tagged = _make_tagged(request, if_none_match, asked.tag(model_key(record), format_))
-        content = partial(_tables, selected, record, asked, format_)
-        stated = partial(_stated, selected, record, asked)
+        content = partial(_make_tables, selected, record, asked, format_)
+        stated = partial(_make_error_headers, selected, record, asked)
         return await files.answer(tagged, slots, partial(_make_body, content, stated, str(FORMATS[format_].media_type)))
 
     @routes.get(
@@ -327,8 +329,8 @@ def remap_routes(context: ApiContext, files: AnswerFiles) -> APIRouter:
         selected, record = await run_in_threadpool(context.answering, request, time)
         path = await run_in_threadpool(image_file, selected, time)
         tagged = _make_tagged(request, if_none_match, asked.tag(model_key(record), path.stem))
-        content = partial(_picture, selected, record, asked, path)
-        stated = partial(_stated, selected, record, asked)
+        content = partial(_rectify_picture, selected, record, asked, path)
+        stated = partial(_make_error_headers, selected, record, asked)
         return await files.answer(tagged, slots, partial(_make_body, content, stated, "image/png"))
 
     return routes
@@ -343,17 +345,17 @@ def _make_body(content: Callable[[], bytes], stated: Callable[[], dict[str, str]
     return ResponseBody(content=content(), media_type=media_type, headers=stated())
 
 
-def _camera(context: ApiContext, record: CalibrationRecord) -> Camera:
+def _get_camera(context: ApiContext, record: CalibrationRecord) -> Camera:
     return context.ready.get(record).camera
 
 
-def _tables(context: ApiContext, record: CalibrationRecord, asked: _AskedTables, format_: MapFormat) -> bytes:
+def _make_tables(context: ApiContext, record: CalibrationRecord, asked: _AskedTables, format_: MapFormat) -> bytes:
     of_ground = {} if asked.grid == "sky" else {"height_m": asked.height_m, "half_width_m": asked.width()}
     attributes = {"calibration": record.id, **of_ground}
     directions = asked.directions(asked.size)
     site = context.archive.calibrations.model(record.id).site
     table = remap_table(
-        _camera(context, record),
+        _get_camera(context, record),
         directions,
         grid=asked.grid,
         attributes=attributes,
@@ -363,8 +365,8 @@ def _tables(context: ApiContext, record: CalibrationRecord, asked: _AskedTables,
     return table_bytes(table, format_)
 
 
-def _picture(context: ApiContext, record: CalibrationRecord, asked: _AskedTables, path: Path) -> bytes:
-    image, camera = decoded_preview(path), _camera(context, record)
+def _rectify_picture(context: ApiContext, record: CalibrationRecord, asked: _AskedTables, path: Path) -> bytes:
+    image, camera = decoded_preview(path), _get_camera(context, record)
     if image.shape[:2] != (camera.height, camera.width):
         problem = (
             f"an image of {image.shape[1]}x{image.shape[0]} px, the calibration is of {camera.width}x{camera.height}"
@@ -374,23 +376,23 @@ def _picture(context: ApiContext, record: CalibrationRecord, asked: _AskedTables
     return bytes(cv2.imencode(".png", found)[1].tobytes())
 
 
-def _stated(context: ApiContext, record: CalibrationRecord, asked: _AskedTables) -> dict[str, str]:
+def _make_error_headers(context: ApiContext, record: CalibrationRecord, asked: _AskedTables) -> dict[str, str]:
     """Return the headers: which calibration, and its error over the grid, on the sky and on the ground."""
     ready = context.ready.get(record)
     directions = asked.directions(_CELLS).reshape(-1, 3)
     directions = np.ascontiguousarray(directions[np.isfinite(directions[:, 0])])
     covariance = ready.direction_covariance(directions)
     headers = {"sunarc-calibration": record.id}
-    headers |= _root_mean("sunarc-sigma-deg", np.degrees(1.0) ** 2 * 0.5 * np.trace(covariance, axis1=1, axis2=2))
+    headers |= _make_rms_header("sunarc-sigma-deg", np.degrees(1.0) ** 2 * 0.5 * np.trace(covariance, axis1=1, axis2=2))
     if asked.grid == "ground":
         site = context.archive.calibrations.model(record.id).site
         place = clouds(directions, height_m=asked.height_m, covariance=covariance, site=site).covariance_m2
         headers["sunarc-height-m"] = decimal(asked.height_m, digits=9)
-        headers |= _root_mean("sunarc-sigma-m", 0.5 * (place[:, 0, 0] + place[:, 1, 1]))
+        headers |= _make_rms_header("sunarc-sigma-m", 0.5 * (place[:, 0, 0] + place[:, 1, 1]))
     return headers
 
 
-def _root_mean(name: str, squares: FloatArray) -> dict[str, str]:
+def _make_rms_header(name: str, squares: FloatArray) -> dict[str, str]:
     """Return the header of a root mean square; empty where the camera sees nothing of the grid."""
     finite = squares[np.isfinite(squares)]
     return {name: decimal(math.sqrt(float(np.mean(finite))))} if finite.size else {}
