@@ -138,7 +138,7 @@ class Outbox(Part):
             connection.execute(sa.insert(outbox).values(kind=STATUS, data=json_text(status)))
 
     def acknowledge(self, seq: int) -> bool:
-        """Remove the rows up to a number, which the hub has stored; none where the hub lacks an earlier row.
+        """Remove the rows up to a number, which the hub has stored; nothing where the hub lacks an earlier row.
 
         Returns
         -------
