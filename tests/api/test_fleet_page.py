@@ -59,7 +59,8 @@ def chromium() -> Iterator[Browser]:
 
 def cells(page: Page, table: str) -> list[list[str]]:
     rows = page.locator(f"#{table} tr")
-    return [rows.nth(n).locator("th, td").all_text_contents() for n in range(rows.count())]
+    texts = (rows.nth(n).locator("th, td").all_text_contents() for n in range(rows.count()))
+    return [[text.replace("\u00a0", " ") for text in row] for row in texts]  # of numbers and their units
 
 
 def test_an_alarm_of_a_cross_check_is_in_the_headline_the_table_and_its_own_rows(
