@@ -156,7 +156,7 @@ def test_doubtful_sightings_are_left_out_of_a_day_and_do_not_condemn_it(tmp_path
         )
         for n in range(30)
     )
-    again = imager.service.days._measure_day_of(good.date)
+    again = imager.service.days._measure_day(good.date)
     assert again.n == good.n
     assert again.sd_px == good.sd_px
     assert again.doubtful_clock == pytest.approx(30.0 / (30.0 + good.n), abs=0.01)

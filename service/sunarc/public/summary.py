@@ -43,8 +43,8 @@ def _make_camera_rows(document: dict[str, Any]) -> tuple[list[list[str]], list[l
     model, sky = document["model"], document["uncertainty"]
     lens = [
         ["projection", model["projection"] + (", mirrored" if document["image"]["mirrored"] else "")],
-        ["focal length", "{:.3f}, {:.3f} px".format(*model["focal_length_px"])],
-        ["principal point", "{:.3f}, {:.3f} px".format(*model["principal_point_px"])],
+        ["focal length", "{:.2f}, {:.2f} px".format(*model["focal_length_px"])],
+        ["principal point", "{:.2f}, {:.2f} px".format(*model["principal_point_px"])],
         ["pose", pose_text(from_document(document).camera)],
         *([name.removesuffix("_deg"), f"{value:.3f}°"] for name, value in document["pose"].items()),
     ]

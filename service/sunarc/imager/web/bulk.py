@@ -238,7 +238,7 @@ _BINARY = {"schema": {"type": "string", "format": "binary"}}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Table:
+class RowTable:
     """Rows of an answer.
 
     Attributes
@@ -269,8 +269,8 @@ class Computation:
 
     read: Callable[[bytes, int], FloatArray]
     columns: tuple[int, ...]
-    answer: Table
-    drawn: Table
+    answer: RowTable
+    drawn: RowTable
     time_column: int | None = None
 
     def times(self, rows: Rows) -> FloatArray | None:

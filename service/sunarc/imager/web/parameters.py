@@ -130,11 +130,11 @@ class Page:
 
     def until(self, requested: datetime | None) -> datetime | None:
         """Return the exclusive end of the times to query, given the client's `until`."""
-        return _earlier_of(requested, None if self.last is None else self.last + MICROSECOND)
+        return _choose_earlier(requested, None if self.last is None else self.last + MICROSECOND)
 
     def until_date(self, requested: date | None) -> date | None:
         """Return the earlier of the client's `until` and the day after the last date of the page before."""
-        return _earlier_of(requested, None if self.last is None else self.last.date() + timedelta(days=1))
+        return _choose_earlier(requested, None if self.last is None else self.last.date() + timedelta(days=1))
 
     def cut(
         self, found: Sequence[Row], request: Request, *, time: Callable[[Row], date]
@@ -172,7 +172,7 @@ def _write_cursor(last: date, n_same_time: int) -> str:
 AnyDate = TypeVar("AnyDate", bound=date)
 
 
-def _earlier_of(a: AnyDate | None, b: AnyDate | None) -> AnyDate | None:
+def _choose_earlier(a: AnyDate | None, b: AnyDate | None) -> AnyDate | None:
     return min((time for time in (a, b) if time is not None), default=None)
 
 

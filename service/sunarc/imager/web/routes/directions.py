@@ -18,7 +18,7 @@ from sunarc.imager.web.bulk import (
     ComputeSlots,
     Question,
     RowsRoute,
-    Table,
+    RowTable,
     compute,
     describe_body,
     row_responses,
@@ -141,12 +141,12 @@ def _pixels_json(_answering: Answering, rows: Rows) -> dict[str, Any]:
 _BACK_PROJECTION = Computation(
     read=read_pixels,
     columns=(2,),
-    answer=Table(columns=BACK_PROJECTED, compute=_back_project, as_json=_directions_json),
-    drawn=Table(columns=BACK_PROJECTED[:5], compute=_draw_directions, as_json=_direction_draws_json),
+    answer=RowTable(columns=BACK_PROJECTED, compute=_back_project, as_json=_directions_json),
+    drawn=RowTable(columns=BACK_PROJECTED[:5], compute=_draw_directions, as_json=_direction_draws_json),
 )
 _PROJECTION = Computation(
     read=_read_directions,
     columns=(3,),
-    answer=Table(columns=PROJECTED, compute=_project, as_json=_pixels_json),
-    drawn=Table(columns=PROJECTED[:2], compute=_draw_pixels, as_json=_pixel_draws_json),
+    answer=RowTable(columns=PROJECTED, compute=_project, as_json=_pixels_json),
+    drawn=RowTable(columns=PROJECTED[:2], compute=_draw_pixels, as_json=_pixel_draws_json),
 )

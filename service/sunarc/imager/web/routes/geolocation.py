@@ -320,8 +320,8 @@ def _columns_by_name(rows: Rows) -> dict[str, Any]:
 _GEOLOCATION = bulk.Computation(
     read=_read,
     columns=(3, 4, _TIME + 1),
-    answer=bulk.Table(columns=LOCATED, compute=_locate, as_json=_geolocation_json),
-    drawn=bulk.Table(
+    answer=bulk.RowTable(columns=LOCATED, compute=_locate, as_json=_geolocation_json),
+    drawn=bulk.RowTable(
         columns=(*_OF_ONE[:6], *(f"shadow_{name}" for name in _OF_ONE[:6])),
         compute=_draw_places,
         as_json=_place_draws_json,

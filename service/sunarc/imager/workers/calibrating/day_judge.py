@@ -115,7 +115,7 @@ class DayJudge:
         judged = {day.date for day in archive.days.find(name, since=since) if self._is_still_valid(day)} - again
         observed = archive.sightings.dates(name, longitude=longitude, since=since)
         due = [day for day in observed if day < today and day not in judged]
-        verdicts = [self._measure_day_of(day) for day in due if day not in waiting]
+        verdicts = [self._measure_day(day) for day in due if day not in waiting]
         worth = [day for day in verdicts if day.verdict in _WORTH_A_REFIT]
         if worth:
             self.request_refit("after " + ", ".join(f"{day.date} ({day.verdict})" for day in worth))
@@ -138,7 +138,7 @@ class DayJudge:
         end = utc_time(day_bounds_unix_s(day.date, longitude=self.camera.site.longitude)[1])
         return end <= day.decided_at <= self.now()
 
-    def _measure_day_of(self, date_: date) -> Day:
+    def _measure_day(self, date_: date) -> Day:
         start, end = day_bounds_unix_s(date_, longitude=self.camera.site.longitude)
         since, until, cadence_s = utc_time(start), utc_time(end), self.cadence_s()
         columns = self.camera.archive.sightings.columns(self.camera.name, since=since, until=until)

@@ -383,6 +383,7 @@ class NightWorker:
         stored_moon = max(self.camera.archive.sightings.add(moon.points), len(moon.points) if again else 0)
         verdict, findings = decide_night(summary, moonlit_share=self._moonlit_share(images))
         refused = [found.matches.findings[0] for found in matched if not found.matches.accepted]
+        flipped = _find_flip(views, matched, calibration)
         evening = self._evening_date(images[0].time)
         if verdict in _WORTH_A_REFIT and stored >= _ENOUGH_STARS:
             self.request_refit(f"after the night of {evening} ({verdict})")
@@ -391,14 +392,7 @@ class NightWorker:
             camera=self.camera.name,
             date=evening,
             verdict=verdict,
-            findings=(
-                *findings,
-                *refused[:1],
-                *_find_flip(views, matched, calibration),
-                *moon.refused[:1],
-                *frozen,
-                *longer,
-            ),
+            findings=(*findings, *refused[:1], *flipped, *moon.refused[:1], *frozen, *longer),
             decided_at=self.now(),
             n_images=summary.n_images,
             n_accepted=summary.n_accepted,
