@@ -24,10 +24,6 @@ BARE = re.compile(r"_?of_\w+|\w+_of|_?with_\w+")
 KEPT_NAMES = {
     "client/xarray_accessor.py: with_directions",  # programs outside call them
     "client/xarray_accessor.py: with_positions",
-    "formats/fisheye.py: parameters_of",  # within a function
-    "formats/view.py: parameters_of",
-    "formats/virtualsky.py: pixels_of",
-    "formats/virtualsky.py: directions_of",
 }
 DOCUMENTS = (
     "README.md",
