@@ -30,10 +30,10 @@ from fastapi import FastAPI
 from map_speed import serve
 from matplotlib import rc_context
 from matplotlib.axes import Axes
-from tests.api.conftest import calibration as chosen
+from tests.fixtures.served import calibration as chosen
 from tests.fixtures.postgresql import TEMPLATE, running_server
-from tests.fleet.hub_process import processor_s
-from tests.fleet.scale import fill
+from tests.fixtures.hub_process import processor_s
+from tests.release.scale import fill
 
 from sunarc.archives.ledger import Known, Ledger
 from sunarc.archives.passes import CHUNK, make_chunks, make_image_id

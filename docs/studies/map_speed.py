@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 import uvicorn
 import xarray as xr
-from tests.api.conftest import NOON, fill, new_archive
+from tests.fixtures.served import NOON, fill, new_archive
 from tests.fixtures.calibrations import SITE
 
 from sunarc.imager.archive.values import Refit

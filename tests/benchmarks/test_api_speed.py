@@ -13,7 +13,7 @@ import pytest
 import uvicorn
 from fastapi import FastAPI
 from numpy.typing import NDArray
-from tests.api.conftest import NOON, fill, new_archive
+from tests.fixtures.served import NOON, fill, new_archive
 from tests.fixtures.calibrations import SITE
 
 from sunarc.imager.archive.archive import open_archive

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from tests.calibration.conftest import SGP, SIZE, TRUTH, rms, times_of
+from tests.fixtures.clear_day import SGP, SIZE, TRUTH, rms, times_of
 
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance, sun_with_covariance
 from sunarc.calibration.calibrate import calibrate

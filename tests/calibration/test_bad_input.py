@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from tests.calibration.conftest import SGP
-from tests.finding_codes import codes
+from tests.fixtures.clear_day import SGP
+from tests.fixtures.finding_codes import codes
 
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, LensTolerances, PaperOptions
@@ -16,7 +16,7 @@ from sunarc.common.errors import InputError
 from sunarc.sky.site import Site
 
 if TYPE_CHECKING:
-    from tests.calibration.conftest import Simulated, Simulator
+    from tests.fixtures.clear_day import Simulated, Simulator
 
 SIZE = (1748, 1748)
 

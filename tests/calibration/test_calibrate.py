@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import population as pop
 import pytest
-from tests.finding_codes import codes
+from tests.fixtures.finding_codes import codes
 
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
@@ -26,7 +26,7 @@ from sunarc.optics.projections import Projection, ideal_radius
 from sunarc.sky.site import Site
 
 if TYPE_CHECKING:
-    from tests.calibration.conftest import Simulated, Simulator
+    from tests.fixtures.clear_day import Simulated, Simulator
 
 SIZE = (1748, 1748)
 REAL = Path(__file__).parents[3] / "shared" / "real" / "fe4_2016-08-30.csv"

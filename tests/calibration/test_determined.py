@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.calibration.conftest import times_of
-from tests.finding_codes import codes
+from tests.fixtures.clear_day import times_of
+from tests.fixtures.finding_codes import codes
 from tests.fixtures.calibration import current_document
 
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance, sigma_deg, unproject_with_sigma

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.calibration.conftest import times_of
-from tests.finding_codes import codes
+from tests.fixtures.clear_day import times_of
+from tests.fixtures.finding_codes import codes
 
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate

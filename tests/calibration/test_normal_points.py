@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from tests.finding_codes import codes
+from tests.fixtures.finding_codes import codes
 
 from sunarc.calibration import normal_points
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
@@ -24,7 +24,7 @@ from sunarc.public.stated_fit import fit_as_stated
 from sunarc.sky.sun import sun_directions
 
 if TYPE_CHECKING:
-    from tests.calibration.conftest import Simulated, Simulator
+    from tests.fixtures.clear_day import Simulated, Simulator
 
     from sunarc.changes.record import Moved
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from tests.calibration.conftest import times_of
+from tests.fixtures.clear_day import times_of
 
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate

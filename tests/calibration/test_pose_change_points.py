@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from real_like_tracks import real_like_track
 from scipy.spatial.transform import Rotation
-from tests.finding_codes import codes
+from tests.fixtures.finding_codes import codes
 
 from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.calibrate import calibrate
@@ -29,7 +29,7 @@ from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_directions
 
 if TYPE_CHECKING:
-    from tests.calibration.conftest import Simulated, Simulator
+    from tests.fixtures.clear_day import Simulated, Simulator
 
 SIZE = (1748, 1748)
 REAL = Path(__file__).parents[3] / "shared" / "real" / "fe4_2016-08-30.csv"

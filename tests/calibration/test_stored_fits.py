@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from tests.calibration.conftest import NOON_13_MAY_2013, SGP, TRUTH
+from tests.fixtures.clear_day import NOON_13_MAY_2013, SGP, TRUTH
 
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, PaperOptions

@@ -9,7 +9,7 @@ import numpy as np
 from sunarc.calibration.calibrate import calibrate
 
 if TYPE_CHECKING:
-    from tests.calibration.conftest import Simulator
+    from tests.fixtures.clear_day import Simulator
 
 SIZE = (1748, 1748)
 

@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 import pytest
 from tests.fixtures.command_line import Sunarc, sunarc
-from tests.offline.reanalysis.in_process import InProcess, use
+from tests.archives.in_process import InProcess, use
 
 from sunarc.archives.results import Summary
 from sunarc.calibration.answers.covariance import project_with_covariance

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.exports.conftest import LENS, document_of
+from tests.formats.conftest import LENS, document_of
 
 from sunarc.formats.formats import export
 

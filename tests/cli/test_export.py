@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 import pytest
-from tests.exports.conftest import LENS, document_of
+from tests.formats.conftest import LENS, document_of
 
 if TYPE_CHECKING:
     from tests.fixtures.command_line import Sunarc

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 from tests.fixtures.command_line import Sunarc, sunarc
-from tests.offline.reanalysis.in_process import InProcess, use
-from tests.offline.sources.archives import GREY, encoded, folder_of
+from tests.archives.in_process import InProcess, use
+from tests.fixtures.packed_archives import GREY, encoded, folder_of
 
 from sunarc.archives.results import Summary
 from sunarc.cli import reanalyse as command

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 import pytest
-from tests.exports.conftest import LENS, document_of
+from tests.formats.conftest import LENS, document_of
 from tests.fixtures.archive import make_empty
 from tests.fixtures.ports import free_port
 

@@ -15,14 +15,14 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 import pytest
-from tests.api.conftest import LENS, NOON, archives, make
-from tests.api.test_event_stream import quick, serving
+from tests.fixtures.served import LENS, NOON, archives, make
+from tests.imager.web.test_event_stream import quick, serving
 
 from sunarc.imager.archive.images import ImageStore
 from sunarc.optics.inverse import unproject
 
 if TYPE_CHECKING:
-    from tests.api.conftest import Made, Make
+    from tests.fixtures.served import Made, Make
 
 __all__ = ["archives", "make", "quick"]
 

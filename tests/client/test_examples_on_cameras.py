@@ -16,7 +16,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from tests.first_hour import Newcomer, decimal
+from tests.release.first_hour import Newcomer, decimal
 
 from sunarc.client import Imager
 from sunarc.common.utc import rfc3339, utc_time

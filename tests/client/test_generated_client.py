@@ -17,11 +17,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.api.conftest import archives, make
-from tests.api.test_event_stream import serving
+from tests.fixtures.served import archives, make
+from tests.imager.web.test_event_stream import serving
 
 if TYPE_CHECKING:
-    from tests.api.conftest import Made, Make
+    from tests.fixtures.served import Made, Make
 
 __all__ = ["archives", "make"]
 

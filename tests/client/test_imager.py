@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import uvicorn
-from tests.api.conftest import NOON, fill, new_archive
+from tests.fixtures.served import NOON, fill, new_archive
 from tests.fixtures.calibrations import SITE
 
 from sunarc.calibration.answers.covariance import project_with_covariance, unproject_with_sigma

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 import pytest
-from tests.api.conftest import LENS, NOON, archives, make
-from tests.api.test_event_stream import serving
+from tests.fixtures.served import LENS, NOON, archives, make
+from tests.imager.web.test_event_stream import serving
 from tests.fixtures.calibrations import SITE
 
 from sunarc.imager.archive.images import ImageStore
@@ -21,7 +21,7 @@ from sunarc.optics.inverse import unproject
 from sunarc.sky.sun import sun_directions
 
 if TYPE_CHECKING:
-    from tests.api.conftest import Made, Make
+    from tests.fixtures.served import Made, Make
 
 __all__ = ["archives", "make"]
 

@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike
-from tests.api.conftest import document
+from tests.fixtures.served import document
 
 from sunarc.client import CameraModel, Imager, Located
 

@@ -8,7 +8,7 @@ from itertools import islice
 import numpy as np
 import pytest
 from tests.detection.photo.stack_series import EXPOSURES_US, Series, series
-from tests.finding_codes import codes
+from tests.fixtures.finding_codes import codes
 
 from sunarc.detection.exposure_stack import detect_disc_in_colours, detect_sun_in_stack, is_short
 from sunarc.detection.photo.ordinary_image import Photo, detect_sun_in_photo

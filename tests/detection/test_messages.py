@@ -7,7 +7,7 @@ from pathlib import Path
 from string import Formatter
 
 import pytest
-from tests.finding_codes import codes
+from tests.fixtures.finding_codes import codes
 
 from sunarc import detection
 from sunarc.common.findings import Finding, joined

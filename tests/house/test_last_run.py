@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
-from tests import last_run
+from tests.release import last_run
 
 XML = """<testsuites><testsuite>
 <testcase classname="tests.booted.test_power" name="test_a_cut" time="90.0" />
@@ -52,6 +52,6 @@ def test_a_page_says_when_and_of_which_commit() -> None:
 @pytest.mark.parametrize(("kind", "content"), [("booted", "<testsuites />"), ("booted", "x"), ("campaign", "{}")])
 def test_a_run_that_left_nothing_gives_no_page(root: Path, tmp_path: Path, kind: str, content: str) -> None:
     (tmp_path / "file").write_text(content)
-    command: list[str | Path] = [sys.executable, "-m", "tests.last_run", kind, tmp_path / "file", tmp_path / "page.md"]
+    command: list[str | Path] = [sys.executable, "-m", "tests.release.last_run", kind, tmp_path / "file", tmp_path / "page.md"]
     assert subprocess.run(command, cwd=root, capture_output=True, check=False).returncode == 1
     assert not (tmp_path / "page.md").exists()

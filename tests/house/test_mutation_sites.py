@@ -6,9 +6,9 @@ import ast
 from pathlib import Path
 
 import pytest
-from tests.mutation.elsewhere import files_elsewhere
-from tests.mutation.reach import lines_that_matter
-from tests.mutation.sites import mutated, sites
+from tests.release.mutation.elsewhere import files_elsewhere
+from tests.release.mutation.reach import lines_that_matter
+from tests.release.mutation.sites import mutated, sites
 
 
 @pytest.mark.parametrize(

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.calibration.conftest import SGP, TRUTH
-from tests.offline.test_lens_priors import write_csv
+from tests.fixtures.clear_day import SGP, TRUTH
+from tests.public.test_lens_priors import write_csv
 
 from sunarc.lab.simulation.made_archive import encoded, photograph
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from tests.api.conftest import LENS
+from tests.fixtures.served import LENS
 
 from sunarc.optics.mounting import compass_point, pose_text, top_azimuth_deg
 from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from tests.api.conftest import Client, new_archive
+from tests.fixtures.served import Client, new_archive
 from tests.fixtures.command_line import sunarc
 
 import sunarc as names

@@ -11,7 +11,7 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 from tests.fixtures.scene_camera import SceneCamera
-from tests.workers.long_run import solve_here
+from tests.imager.workers.long_run import solve_here
 
 from sunarc.formats.calibration_document import from_document
 from sunarc.imager.app.service import Service

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 from tests.fixtures.ports import free_port
-from tests.offline.reanalysis.made import MADE, analysed, indexed_in, tables_in
+from tests.archives.made import MADE, analysed, indexed_in, tables_in
 
 from sunarc.archives.cluster import Workers, open_cluster
 from sunarc.common.findings import Finding

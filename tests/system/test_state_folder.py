@@ -14,7 +14,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
-from tests.api.conftest import calibration
+from tests.fixtures.served import calibration
 from tests.fixtures.calibrations import SITE
 from tests.fixtures.ports import free_port
 

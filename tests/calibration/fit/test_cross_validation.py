@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.special import chdtri
-from tests.calibration.conftest import SGP, SIZE, simulate
+from tests.fixtures.clear_day import SGP, SIZE, simulate
 from tests.fixtures.calibration import observed, small_camera, small_problem, spread_directions
 
 from sunarc.calibration.calibrate import calibrate

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from tests.calibration.conftest import SGP, SIZE, TRUTH, rms, times_of
+from tests.fixtures.clear_day import SGP, SIZE, TRUTH, rms, times_of
 from tests.fixtures.calibration import observed, small_camera, small_problem, spread_directions
 
 from sunarc.calibration.answers.ageing import SEASONS, season_columns

@@ -20,8 +20,8 @@ from sunarc.calibration.solve.priors import N_LENS
 from sunarc.common.errors import InputError
 
 if TYPE_CHECKING:
-    from tests.calibration.conftest import FloatArray
-    from tests.calibration.lens_library.conftest import Fitted
+    from tests.fixtures.clear_day import FloatArray
+    from tests.fixtures.lens_types import Fitted
 
 USUAL = usual_precision(2.0) + 1e-8
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from tests.calibration.conftest import SGP
+from tests.fixtures.clear_day import SGP
 
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
@@ -34,7 +34,7 @@ from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 
 if TYPE_CHECKING:
-    from tests.calibration.lens_library.conftest import Fitted, Units
+    from tests.fixtures.lens_types import Fitted, Units
 
 SKY = hemisphere(300)
 OPTIONS = CalibrationOptions(level_within_deg=15.0)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from tests.calibration.conftest import SGP, simulate
+from tests.fixtures.clear_day import SGP, simulate
 from tests.fixtures.stored_answers import require_stored, said
 
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
@@ -30,8 +30,8 @@ from sunarc.optics.mounting import top_azimuth_deg
 from sunarc.optics.pose import rotation_matrix, rotation_vector
 
 if TYPE_CHECKING:
-    from tests.calibration.conftest import Simulated
-    from tests.calibration.lens_library.conftest import Units
+    from tests.fixtures.clear_day import Simulated
+    from tests.fixtures.lens_types import Units
 
 SKY = hemisphere(200)
 WHEN = {"morning": 0.15, "noon": 0.5, "low": 0.01}

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
-from tests.calibration.conftest import SGP, simulate
+from tests.fixtures.clear_day import SGP, simulate
 
 from sunarc.calibration.answers.covariance import hemisphere
 from sunarc.calibration.lens_library.joint import Entry, calibrate_jointly
@@ -24,8 +24,8 @@ from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles
 from sunarc.sky.sun import sun_directions
 
 if TYPE_CHECKING:
-    from tests.calibration.conftest import FloatArray
-    from tests.calibration.lens_library.conftest import Fitted, Units
+    from tests.fixtures.clear_day import FloatArray
+    from tests.fixtures.lens_types import Fitted, Units
 
 SKY = hemisphere(200)
 OPTIONS = CalibrationOptions(level_within_deg=15.0)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from tests.calibration.conftest import SGP, SIZE, simulate
+from tests.fixtures.clear_day import SGP, SIZE, simulate
 from tests.fixtures.stored_answers import require_stored, said
 
 from sunarc.calibration.lens_library.conditioning import apply_lens_prior
@@ -21,7 +21,7 @@ from sunarc.optics.mounting import top_azimuth_deg
 
 if TYPE_CHECKING:
     import pytest
-    from tests.calibration.lens_library.conftest import Fitted, Units
+    from tests.fixtures.lens_types import Fitted, Units
 
 _STORED = Path(__file__).parent / "stored_answers.json"
 _RELATIVE = 0.01

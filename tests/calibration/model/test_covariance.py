@@ -32,7 +32,7 @@ from sunarc.optics.inverse import unproject
 from sunarc.sky.directions import angular_distance
 
 if TYPE_CHECKING:
-    from tests.calibration.conftest import Simulated, Simulator
+    from tests.fixtures.clear_day import Simulated, Simulator
 
 SIZE = (1748, 1748)
 NOW = datetime(2013, 5, 14, 3, 0, tzinfo=UTC)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from tests.finding_codes import codes
+from tests.fixtures.finding_codes import codes
 
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.sightings import Sightings, filter_sightings
@@ -16,7 +16,7 @@ from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles, sun_directions
 
 if TYPE_CHECKING:
-    from tests.calibration.conftest import Simulated, Simulator
+    from tests.fixtures.clear_day import Simulated, Simulator
 
 SIZE = (1748, 1748)
 

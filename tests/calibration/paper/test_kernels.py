@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.calibration.least_squares.solve_reference import damped_step
+from tests.calibration.solve.solve_reference import damped_step
 from tests.calibration.paper.equations_reference import equations as equations_in_numpy
 from tests.fixtures.calibration import observed, small_camera, spread_directions
 

@@ -20,7 +20,7 @@ from sunarc.optics.forward import project
 from sunarc.optics.pose import pose_angles
 
 if TYPE_CHECKING:
-    from tests.calibration.conftest import Simulated, Simulator
+    from tests.fixtures.clear_day import Simulated, Simulator
 
 SIZE = (1748, 1748)
 CIRCLE = ImageCircle(x=873.0, y=882.0, radius=850.0)

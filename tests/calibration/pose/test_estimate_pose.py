@@ -27,7 +27,7 @@ from sunarc.optics.pose import rotation_matrix, rotation_vector
 from sunarc.sky.site import Site
 
 if TYPE_CHECKING:
-    from tests.calibration.conftest import Simulated, Simulator
+    from tests.fixtures.clear_day import Simulated, Simulator
 
 REAL = Path(__file__).parents[4] / "shared" / "real" / "fe4_2016-08-30.csv"
 TILTED = CalibrationOptions(level_within_deg=70.0)

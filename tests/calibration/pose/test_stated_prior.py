@@ -21,7 +21,7 @@ from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 
 if TYPE_CHECKING:
-    from tests.calibration.conftest import Simulated, Simulator
+    from tests.fixtures.clear_day import Simulated, Simulator
 
 TOLERANCES = PriorTolerances(lens_px=2.0, pose_deg=1.0)
 SKY = hemisphere(200)

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 from tests.calibration.quality.test_unstated_tilt import ATHENS, fitted
-from tests.finding_codes import codes
+from tests.fixtures.finding_codes import codes
 from tests.fixtures.calibration import current_document
 
 from sunarc.calibration.acceptance import apart_sigmas

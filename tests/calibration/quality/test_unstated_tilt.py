@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.finding_codes import codes
+from tests.fixtures.finding_codes import codes
 from tests.fixtures.calibration import ideal_camera
 
 from sunarc.calibration.calibrate import calibrate

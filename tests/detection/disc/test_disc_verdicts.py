@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from tests.detection.rendering import Scene, equisolid_stretch, read_out, render
 from tests.detection.sunless import KINDS, accepted_of
-from tests.finding_codes import codes
+from tests.fixtures.finding_codes import codes
 
 from sunarc.common.errors import InputError
 from sunarc.detection.disc.detect import detect_sun

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 from tests.detection.photo.suns import SUN, exposed
-from tests.finding_codes import codes
+from tests.fixtures.finding_codes import codes
 
 from sunarc.common.errors import InputError
 from sunarc.detection.exposure_stack import detect_sun_in_stack

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from tests.detection.photo.suns import glare_image, with_text
-from tests.finding_codes import codes
+from tests.fixtures.finding_codes import codes
 
 from sunarc.common.errors import InputError
 from sunarc.detection.photo.ordinary_image import Photo, detect_sun_in_photo
