@@ -30,9 +30,9 @@ from fastapi import FastAPI
 from map_speed import serve
 from matplotlib import rc_context
 from matplotlib.axes import Axes
-from tests.fixtures.served import calibration as chosen
-from tests.fixtures.postgresql import TEMPLATE, running_server
 from tests.fixtures.hub_process import processor_s
+from tests.fixtures.postgresql import TEMPLATE, running_server
+from tests.fixtures.served import calibration as chosen
 from tests.release.scale import fill
 
 from sunarc.archives.ledger import Known, Ledger

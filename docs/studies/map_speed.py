@@ -24,8 +24,8 @@ from pathlib import Path
 import numpy as np
 import uvicorn
 import xarray as xr
-from tests.fixtures.served import NOON, fill, new_archive
 from tests.fixtures.calibrations import SITE
+from tests.fixtures.served import NOON, fill, new_archive
 
 from sunarc.imager.archive.values import Refit
 from sunarc.imager.runtime.clock import VirtualClock

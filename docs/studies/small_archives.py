@@ -20,10 +20,10 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from archives import DAY_S, HOUR_S, Archive, Spell, changes_said, errors_over_sky, lens_of, refocused
 from independent_world import FloatArray, Lens, Place, sun, turn
 from numpy.typing import NDArray
 
+from archives import DAY_S, HOUR_S, Archive, Spell, changes_said, errors_over_sky, lens_of, refocused
 from sunarc.archives.fit import CameraSightings, final_analysis, first_analysis
 from sunarc.archives.states import ArchiveCamera
 from sunarc.calibration.model.options import CalibrationOptions

@@ -11,9 +11,9 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from tests.archives.test_ingest_times import taken
 from tests.fixtures.calibrations import SITE, chosen_calibration
 from tests.fixtures.command_line import Sunarc
-from tests.archives.test_ingest_times import taken
 from tests.public.test_star_files import CAMERA, SIZE, night_image
 
 from sunarc.common.findings import FindingError

@@ -15,10 +15,10 @@ from typing import Any
 
 import pytest
 from pyarrow import parquet
-from tests.imager.web.test_dashboard import browser, in_a_browser, is_accessible, opened
-from tests.fixtures.postgresql import Server, postgresql
 from tests.archives.in_process import InProcess
 from tests.archives.made import MADE, analysed, indexed_in, tables_in
+from tests.fixtures.postgresql import Server, postgresql
+from tests.imager.web.test_dashboard import browser, in_a_browser, is_accessible, opened
 
 from sunarc.archives.results import Summary, export_all_formats
 from sunarc.common.errors import InputError, OutsideError

@@ -12,9 +12,9 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from tests.archives.in_process import InProcess, use
 from tests.detection.stars.rendering import counted, expected
 from tests.fixtures.calibrations import SITE, chosen_calibration
-from tests.archives.in_process import InProcess, use
 from tests.public.test_star_files import CAMERA, SIZE, unix_s
 
 from sunarc.archives.run import ReanalysisOptions, reanalyse

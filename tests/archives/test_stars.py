@@ -12,8 +12,8 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from tests.fixtures.calibrations import SITE, chosen_calibration
 from tests.archives.in_process import InProcess
+from tests.fixtures.calibrations import SITE, chosen_calibration
 from tests.public.test_star_files import CAMERA, SIZE, night_image
 
 from sunarc.archives import nights as stars_module

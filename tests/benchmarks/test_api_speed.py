@@ -13,8 +13,8 @@ import pytest
 import uvicorn
 from fastapi import FastAPI
 from numpy.typing import NDArray
-from tests.fixtures.served import NOON, fill, new_archive
 from tests.fixtures.calibrations import SITE
+from tests.fixtures.served import NOON, fill, new_archive
 
 from sunarc.imager.archive.archive import open_archive
 from sunarc.imager.runtime.clock import VirtualClock

@@ -40,7 +40,7 @@ START = datetime(2013, 5, 13, 14, tzinfo=UTC)
 AS_SUNARC = ("setpriv", "--reuid=sunarc", "--regid=sunarc", "--clear-groups")
 _UP_WITHIN_S = 180.0  # by a busy host
 _SYSCTL = Path(__file__).parents[2] / "deploy" / "debian" / "sunarc.sysctl"
-_IMAGER = Path(__file__).parents[1] / "simulation" / "imager_process.py"
+_IMAGER = Path(__file__).parents[1] / "lab" / "simulation" / "imager_process.py"
 _MOST_JUDGED = 3000  # of the newest sightings
 
 

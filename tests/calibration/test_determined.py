@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.fixtures.calibration import current_document
 from tests.fixtures.clear_day import times_of
 from tests.fixtures.finding_codes import codes
-from tests.fixtures.calibration import current_document
 
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance, sigma_deg, unproject_with_sigma
 from sunarc.calibration.answers.direction_table import lookup

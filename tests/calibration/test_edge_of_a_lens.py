@@ -8,8 +8,8 @@ from typing import Literal
 
 import numpy as np
 import pytest
-from tests.fixtures.clear_day import SGP, SIZE, TRUTH, times_of
 from tests.fixtures.calibration import stated_calibration
+from tests.fixtures.clear_day import SGP, SIZE, TRUTH, times_of
 
 from sunarc.calibration.answers.covariance import hemisphere, sigma_deg, sky_sigma_deg
 from sunarc.calibration.calibrate import calibrate

@@ -16,8 +16,8 @@ import numpy as np
 import population as pop
 import pytest
 from numpy.typing import NDArray
-from tests.fixtures.clear_day import NOON_13_MAY_2013, SGP, SIZE, TRUTH, Simulated, simulate
 from tests.fixtures.calibration import small_camera, stated_calibration, sun_arc
+from tests.fixtures.clear_day import NOON_13_MAY_2013, SGP, SIZE, TRUTH, Simulated, simulate
 from tests.fixtures.stored_answers import require_stored, said
 
 from sunarc.calibration.acceptance import apart_sigmas, chi_square, disagreement, distance_px, pose_spread_deg

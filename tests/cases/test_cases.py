@@ -19,8 +19,8 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 import pytest
-from tests.fixtures.command_line import Sunarc, sunarc
 from tests.archives.in_process import InProcess, use
+from tests.fixtures.command_line import Sunarc, sunarc
 
 from sunarc.archives.results import Summary
 from sunarc.calibration.answers.covariance import project_with_covariance

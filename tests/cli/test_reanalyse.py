@@ -6,8 +6,8 @@ import json
 from pathlib import Path
 
 import pytest
-from tests.fixtures.command_line import Sunarc, sunarc
 from tests.archives.in_process import InProcess, use
+from tests.fixtures.command_line import Sunarc, sunarc
 from tests.fixtures.packed_archives import GREY, encoded, folder_of
 
 from sunarc.archives.results import Summary

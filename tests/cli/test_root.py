@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 import pytest
-from tests.formats.conftest import LENS, document_of
 from tests.fixtures.archive import make_empty
 from tests.fixtures.ports import free_port
+from tests.formats.conftest import LENS, document_of
 
 from sunarc.common.errors import OutsideError
 from sunarc.imager.archive.database.state_folder import as_owner

@@ -16,7 +16,7 @@ PAGES = {
     "summer": ["summer/report.html", "summer/calibrations/pictures/001.json"],
     "night": ["camera.json", "stars.csv", "night.csv"],
 }
-"""The tutorials that need no service, with files that a reader has at the end; `tests.release.first_hour` runs a mast's."""
+"""Tutorials that need no service, with files that a reader has at the end; `tests.release.first_hour` runs a mast's."""
 ROOT = Path(__file__).parents[2]
 BLOCK = re.compile(r"(?:^ {8}\S.*\n)+", re.MULTILINE)
 COMMAND = re.compile(r"sunarc |printf |head |cp ")

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import uvicorn
-from tests.fixtures.served import NOON, fill, new_archive
 from tests.fixtures.calibrations import SITE
+from tests.fixtures.served import NOON, fill, new_archive
 
 from sunarc.calibration.answers.covariance import project_with_covariance, unproject_with_sigma
 from sunarc.client import Imager, ImagerError

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 import pytest
+from tests.fixtures.calibrations import SITE
 from tests.fixtures.served import LENS, NOON, archives, make
 from tests.imager.web.test_event_stream import serving
-from tests.fixtures.calibrations import SITE
 
 from sunarc.imager.archive.images import ImageStore
 from sunarc.optics.forward import project

@@ -52,6 +52,13 @@ def test_a_page_says_when_and_of_which_commit() -> None:
 @pytest.mark.parametrize(("kind", "content"), [("booted", "<testsuites />"), ("booted", "x"), ("campaign", "{}")])
 def test_a_run_that_left_nothing_gives_no_page(root: Path, tmp_path: Path, kind: str, content: str) -> None:
     (tmp_path / "file").write_text(content)
-    command: list[str | Path] = [sys.executable, "-m", "tests.release.last_run", kind, tmp_path / "file", tmp_path / "page.md"]
+    command: list[str | Path] = [
+        sys.executable,
+        "-m",
+        "tests.release.last_run",
+        kind,
+        tmp_path / "file",
+        tmp_path / "page.md",
+    ]
     assert subprocess.run(command, cwd=root, capture_output=True, check=False).returncode == 1
     assert not (tmp_path / "page.md").exists()

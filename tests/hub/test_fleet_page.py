@@ -12,10 +12,10 @@ from typing import Any
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page
-from tests.imager.web.test_dashboard import browser, in_a_browser, opened, serving_app
-from tests.hub.test_hub import CHECKS, TOKEN, save_checks
 from tests.fixtures.archive import make_empty
 from tests.fixtures.fleet import NOW, feed, new_imager, sighting
+from tests.hub.test_hub import CHECKS, TOKEN, save_checks
+from tests.imager.web.test_dashboard import browser, in_a_browser, opened, serving_app
 
 from sunarc.hub.archive import open_hub_archive
 from sunarc.hub.feed_routes import token_digest

@@ -20,10 +20,10 @@ import httpx
 import psycopg
 import pytest
 from sqlalchemy import URL
-from tests.fixtures.served import Client
 from tests.fixtures.archive import make_empty
 from tests.fixtures.fleet import NOW, new_imager, next_batch, sighting
 from tests.fixtures.postgresql import TEMPLATE, Server, running_server
+from tests.fixtures.served import Client
 from tests.imager.workers.test_full_disk import mounted
 
 from sunarc.hub.archive import HubArchive, open_hub_archive

@@ -12,10 +12,10 @@ from datetime import timedelta
 from pathlib import Path
 
 import pytest
-from tests.fixtures.served import Client
-from tests.hub.test_hub import TOKEN, Hub
 from tests.fixtures.fleet import NOW, new_imager, next_batch, sighting
 from tests.fixtures.postgresql import Server, running_server
+from tests.fixtures.served import Client
+from tests.hub.test_hub import TOKEN, Hub
 
 from sunarc.hub.archive import HubArchive, open_hub_archive
 from sunarc.hub.feed_routes import token_digest

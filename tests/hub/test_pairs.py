@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.fixtures.served import LENS, NOON, Client, calibration
 from tests.fixtures.archive import make_empty
+from tests.fixtures.served import LENS, NOON, Client, calibration
 
 from sunarc.formats.calibration_document import to_document
 from sunarc.geolocation.locate import local_frame

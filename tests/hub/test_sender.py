@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 from tests.fixtures.feed_cases import STATUS_ROW, good_rows
-from tests.fixtures.postgresql import TEMPLATE, running_server
 from tests.fixtures.hub_process import HubProcess
+from tests.fixtures.postgresql import TEMPLATE, running_server
 
 from sunarc.hub.archive import open_hub_archive
 from sunarc.hub.feed_routes import token_digest

@@ -19,10 +19,10 @@ from typing import Any, cast
 
 import psycopg
 import pytest
-from tests.imager.archive.test_calibrations import document
 from tests.fixtures.feed_cases import STATUS_ROW, good_rows
-from tests.fixtures.postgresql import Server, programs, running_server
 from tests.fixtures.hub_process import HubProcess
+from tests.fixtures.postgresql import Server, programs, running_server
+from tests.imager.archive.test_calibrations import document
 
 import sunarc
 from sunarc.common.utc import to_microseconds

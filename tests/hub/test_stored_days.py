@@ -9,8 +9,8 @@ from datetime import date
 import httpx
 import pytest
 from pydantic import TypeAdapter
-from tests.hub.test_hub import TOKEN, Hub, body_of, hub, imager
 from tests.fixtures.fleet import NOW
+from tests.hub.test_hub import TOKEN, Hub, body_of, hub, imager
 
 from sunarc.hub.archive import HubArchive
 from sunarc.hub.feed_routes import token_digest

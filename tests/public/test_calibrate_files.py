@@ -12,8 +12,8 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from tests.formats.conftest import LENS, document_of
 from tests.fixtures.settings import SGP
+from tests.formats.conftest import LENS, document_of
 
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.stated_prior import PriorTolerances

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from tests.fixtures.served import Client, new_archive
 from tests.fixtures.command_line import sunarc
+from tests.fixtures.served import Client, new_archive
 
 import sunarc as names
 from sunarc.common.utc import rfc3339, utc_time

@@ -143,7 +143,7 @@ def main() -> int:
         else:
             with ThreadPoolExecutor(options.side_by_side) as pool:
                 reports = list(pool.map(lambda source: _in_a_process(source, options, kept), options.sources))
-    print(json.dumps(reports, indent=1))  # noqa: T201 - a script that prints what it found
+    print(json.dumps(reports, indent=1))
     if options.json:
         options.json.write_text(json.dumps(reports, indent=1) + "\n")
     return 0 if all(report["good"] for report in reports) else 1

@@ -249,7 +249,7 @@ class Faults(Processes):
 
     def _stands(self, reason: dict[str, Any]) -> bool:
         """Whether a condition does not have to end with the faults, or not yet."""
-        moment = datetime.now(UTC)  # noqa: TID251 - conditions are dated by the host
+        moment = datetime.now(UTC)
         stood_s = (moment - datetime.fromisoformat(reason["since"])).total_seconds() * self.setting.speed
         return reason["code"] in STANDING or stood_s < 86_400.0 * LASTING_DAYS.get(reason["code"], 0.0)
 

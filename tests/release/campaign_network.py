@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import psycopg
-from tests.fixtures.postgresql import TEMPLATE, running_server
 from tests.fixtures.hub_process import HubProcess
 from tests.fixtures.links import Link
+from tests.fixtures.postgresql import TEMPLATE, running_server
 
 from sunarc.hub.archive import open_hub_archive
 from sunarc.hub.feed_routes import token_digest
@@ -77,11 +77,11 @@ class Other:
         if self.mode == "frozen" and self._last is not None:
             self._n += 1
             frozen = self._last[1]
-            with urllib.request.urlopen(self.camera, timeout=5.0) as answer:  # noqa: S310 - loopback
+            with urllib.request.urlopen(self.camera, timeout=5.0) as answer:
                 kept = {name: answer.headers[name] for name in ("Content-Type", "Date", "Last-Modified")}
             return 200, kept, with_comment(frozen, f"picture {self._n}")
         if self.mode != "stale" or self._last is None:
-            with urllib.request.urlopen(self.camera, timeout=5.0) as answer:  # noqa: S310 - loopback
+            with urllib.request.urlopen(self.camera, timeout=5.0) as answer:
                 kept = {name: answer.headers[name] for name in ("Content-Type", "Date", "Last-Modified")}
                 self._last = kept, answer.read()
         return 200, *self._last
@@ -256,7 +256,7 @@ class CampaignHub:
         return int(self.server.sql(TEMPLATE, "SELECT count(*) FROM sun_point"))
 
 
-def _key(row: Any) -> str:  # noqa: ANN401 - of either engine
+def _key(row: Any) -> str:
     time, body, exposure, method, file, x, y, accepted = ("" if value is None else value for value in row)
     numbers = ("" if value == "" else f"{float(value):.9g}" for value in (exposure, x, y))
     return f"{time} {body} {method} {file} {accepted} {' '.join(numbers)}"

@@ -35,7 +35,7 @@ SPEED = 150.0
 CADENCE_S = 300.0
 """With `SPEED` a slot takes 2 s: in 0.6 s a loaded host has no time for exposures of the sun beside the others. Slots
 of more than 312 s would leave moves within a day unsought."""
-IMAGER = HERE.parent / "simulation" / "imager_process.py"
+IMAGER = HERE.parent / "lab" / "simulation" / "imager_process.py"
 SHIM = HERE / "clock_shim.py"
 START_WITHIN_S = 300.0
 """Real seconds for a process to start; 5 to 51 s beside a load of 12 on 2 cores."""
@@ -83,12 +83,12 @@ timestamps = "camera"
 
 def now() -> float:
     """Return real monotonic seconds."""
-    return time.monotonic()  # noqa: TID251 - real processes are waited for
+    return time.monotonic()
 
 
 def pause(seconds: float) -> None:
     """Wait for real."""
-    time.sleep(max(seconds, 0.0))  # noqa: TID251 - same
+    time.sleep(max(seconds, 0.0))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -368,7 +368,7 @@ class Processes:
             f"http://{ADDRESS}:{self.port}{route}", method=method, headers=headers, data=data
         )
         try:
-            with urllib.request.urlopen(request, timeout=5.0) as response:  # noqa: S310 - same
+            with urllib.request.urlopen(request, timeout=5.0) as response:
                 answer: dict[str, Any] = json.load(response)
                 return answer
         except (OSError, ValueError, HTTPException):  # it may end in the middle of an answer

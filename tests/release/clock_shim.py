@@ -26,7 +26,7 @@ def _install(file: Path) -> None:
     """Let the system's clock tell what the file says."""
 
     def now(self: clock.SystemClock) -> datetime:  # noqa: ARG001 - a method
-        return datetime.now(UTC) + timedelta(seconds=_setting(file)[0])  # noqa: TID251 - stands in for the machine's
+        return datetime.now(UTC) + timedelta(seconds=_setting(file)[0])
 
     def state(self: clock.SystemClock) -> clock.ClockState:  # noqa: ARG001 - same
         return clock.ClockState(synchronised=_setting(file)[1], error_bound_s=0.01)

@@ -21,10 +21,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser
-from tests.fixtures.served import LENS, NOON, calibration, fill, new_archive, sightings
-from tests.imager.web.test_dashboard import browser, opened, serving_app
 from tests.fixtures.calibrations import SITE, chosen_calibration
 from tests.fixtures.nights import judged
+from tests.fixtures.served import LENS, NOON, calibration, fill, new_archive, sightings
+from tests.imager.web.test_dashboard import browser, opened, serving_app
 
 from sunarc.calibration.model.result import Verdict
 from sunarc.common.findings import Finding
@@ -82,7 +82,7 @@ class Stage:
     images: ImageStore | None = None
     others: dict[str, Any] = field(default_factory=dict)
 
-    def app(self) -> Any:  # noqa: ANN401 - an application
+    def app(self) -> Any:
         """Return the application that serves it."""
 
         def refit(reason: str) -> Refit:

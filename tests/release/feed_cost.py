@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any
 
 from tests.fixtures.fleet import new_imager, next_batch, sighting
-from tests.fixtures.postgresql import TEMPLATE, running_server
 from tests.fixtures.hub_process import HubProcess
+from tests.fixtures.postgresql import TEMPLATE, running_server
 
 from sunarc.hub.archive import open_hub_archive
 from sunarc.hub.feed_routes import token_digest
@@ -63,7 +63,7 @@ def sightings_of(folder: Path, camera: str) -> tuple[list[FeedRow], dict[str, An
     return list(rows), dict(rows[-1].data or {})
 
 
-def rows_of(data: dict[str, Any], numbers: Iterator[int], **changes: Any) -> Lines:  # noqa: ANN401 - of many types
+def rows_of(data: dict[str, Any], numbers: Iterator[int], **changes: Any) -> Lines:
     """Return what makes sightings; all but the last have the changes, or the sender would be asked to wait."""
 
     def made(after: int, n: int) -> list[FeedRow]:

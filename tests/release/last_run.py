@@ -21,7 +21,7 @@ from typing import Any
 from xml.etree import ElementTree as ET
 
 ROOT = Path(__file__).resolve().parents[2]
-REPAIRS = Path(__file__).parent / "field" / "campaign_repairs.md"
+REPAIRS = Path(__file__).with_name("campaign_repairs.md")
 _MOST_CHARACTERS = 400
 _MOST_LISTED = 4
 _OUTCOMES = {"failure": "**failed**", "error": "**failed**", "skipped": "skipped"}

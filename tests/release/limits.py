@@ -19,10 +19,10 @@ from pathlib import Path
 from time import process_time
 
 import numpy as np
-from tests.fixtures.rotated_cameras import Wrong, neighbours
-from tests.fixtures.postgresql import TEMPLATE, Server, running_server
-from tests.release.feed_cost import Sender, rows_of, sightings_of
 from tests.fixtures.hub_process import HubProcess, processor_s
+from tests.fixtures.postgresql import TEMPLATE, Server, running_server
+from tests.fixtures.rotated_cameras import Wrong, neighbours
+from tests.release.feed_cost import Sender, rows_of, sightings_of
 from tests.release.scale import fill
 
 from sunarc.calibration.calibrate import calibrate

@@ -132,7 +132,7 @@ def main() -> None:
     told["difference_of_medians_ms"] = round(
         told["with sun exposures"]["hdr_ms"]["median"] - told["without"]["hdr_ms"]["median"], 2
     )
-    print(json.dumps(told, indent=1))  # noqa: T201 - a script
+    print(json.dumps(told, indent=1))
 
 
 if __name__ == "__main__":

@@ -15,9 +15,9 @@ from time import perf_counter
 
 import psycopg
 from tests.fixtures.fleet import NOON
+from tests.fixtures.hub_process import HubProcess, processor_s
 from tests.fixtures.mosquitto import Listener, Mosquitto
 from tests.fixtures.postgresql import TEMPLATE, Server, running_server
-from tests.fixtures.hub_process import HubProcess, processor_s
 
 from sunarc.imager.archive.archive import open_archive
 from sunarc.imager.archive.values import CameraRecord

@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 import psycopg
-from tests.fixtures.served import LENS
 from tests.fixtures.calibrations import chosen_calibration
-from tests.fixtures.postgresql import TEMPLATE, Server, running_server
 from tests.fixtures.hub_process import HubProcess
+from tests.fixtures.postgresql import TEMPLATE, Server, running_server
+from tests.fixtures.served import LENS
 
 from sunarc.formats.calibration_document import to_document
 from sunarc.imager.archive.archive import open_archive

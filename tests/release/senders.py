@@ -28,9 +28,9 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
+from tests.fixtures.hub_process import HubProcess, processor_s
 from tests.fixtures.postgresql import TEMPLATE, Server, running_server
 from tests.release.feed_cost import Sender, sightings_of
-from tests.fixtures.hub_process import HubProcess, processor_s
 
 from sunarc.hub.archive import open_hub_archive
 from sunarc.hub.feed_routes import token_digest

@@ -25,9 +25,9 @@ from time import perf_counter, process_time
 
 from sqlalchemy import URL
 from tests.fixtures.fleet import new_imager, sighting
-from tests.fixtures.postgresql import TEMPLATE, Server, running_server
 from tests.fixtures.hub_process import HubProcess, processor_s
 from tests.fixtures.links import Link, Network, network
+from tests.fixtures.postgresql import TEMPLATE, Server, running_server
 
 from sunarc.hub.archive import HubArchive, open_hub_archive
 from sunarc.hub.feed_routes import token_digest

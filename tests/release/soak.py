@@ -44,7 +44,7 @@ ADDRESS = "127.0.0.1"
 START = datetime(2013, 5, 13, 22, 40, tzinfo=UTC)
 REGION = (300, 1250, 420, 400)  # holds the sun from the start on for two hours, and a corner beyond the lens's field
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
-IMAGER = Path(__file__).parent.parent / "simulation" / "imager_process.py"
+IMAGER = Path(__file__).parents[1] / "lab" / "simulation" / "imager_process.py"
 THIEF = Path(__file__).with_name("thief.py")
 FAULTS = (
     "kill",
@@ -343,10 +343,10 @@ def main() -> int:
         seed=arguments.seed,
         cadence_s=arguments.cadence,
         fault_every=arguments.fault_every,
-        progress=lambda text: print(text, flush=True),  # noqa: T201 - a script
+        progress=lambda text: print(text, flush=True),
     )
     text = json.dumps(asdict(outcome), indent=1)
-    print(text)  # noqa: T201 - a script
+    print(text)
     if arguments.json is not None:
         arguments.json.write_text(text)
     return 1 if outcome.wrong or outcome.incomplete_undisturbed else 0

@@ -12,7 +12,7 @@ from sunarc.imager.runtime.clock import SystemClock
 
 address, hold_s = sys.argv[1], float(sys.argv[2])
 clock = SystemClock()
-print("trying", flush=True)  # noqa: T201 - whom it is stolen from waits for this
+print("trying", flush=True)
 until = clock.monotonic() + 15.0
 while clock.monotonic() < until:
     try:

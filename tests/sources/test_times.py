@@ -10,9 +10,9 @@ from typing import Any
 from zoneinfo import ZoneInfo
 
 import pytest
+from tests.archives.test_ingest_times import TAKEN, ZONE, taken, with_exif
 from tests.fixtures.packed_archives import GREY, encoded, folder_of
 from tests.sources.test_frames import fits_of
-from tests.archives.test_ingest_times import TAKEN, ZONE, taken, with_exif
 
 from sunarc.common.errors import InputError
 from sunarc.common.findings import FindingError

@@ -10,10 +10,9 @@ from typing import Any
 
 import pytest
 from tests.fixtures.ports import free_port
+from tests.release.campaign_processes import Processes, Setting, pause
 
 from sunarc.sky.site import Site
-
-from tests.release.campaign_processes import Processes, Setting, pause
 
 LATE_S = 100.0
 TAI_S = 37.0

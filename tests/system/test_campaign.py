@@ -7,7 +7,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import pytest
-
 from tests.release.campaign import SOURCES, campaign
 from tests.release.campaign_faults import Source
 

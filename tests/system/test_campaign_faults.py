@@ -10,7 +10,6 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, cast
 
 import pytest
-
 from tests.release.campaign_faults import FAULTS, Faults
 from tests.release.campaign_judge import Findings
 from tests.release.campaign_processes import Setting, pause

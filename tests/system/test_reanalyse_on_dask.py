@@ -13,8 +13,8 @@ from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 
 import pytest
-from tests.fixtures.ports import free_port
 from tests.archives.made import MADE, analysed, indexed_in, tables_in
+from tests.fixtures.ports import free_port
 
 from sunarc.archives.cluster import Workers, open_cluster
 from sunarc.common.findings import Finding

@@ -10,7 +10,6 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import pytest
-
 from tests.release.campaign import run_of
 from tests.release.campaign_faults import Faults, Known, Source
 from tests.release.campaign_processes import HERE, Setting, now

@@ -6,7 +6,6 @@ import ctypes
 import importlib.util
 
 import pytest
-
 from tests.release.soak import FAULTS, soak
 
 # tests/lab/simulation/test_over_the_wire.py has each fault by itself

@@ -14,9 +14,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
-from tests.fixtures.served import calibration
 from tests.fixtures.calibrations import SITE
 from tests.fixtures.ports import free_port
+from tests.fixtures.served import calibration
 
 from sunarc.formats.calibration_document import to_document
 from sunarc.imager.archive.archive import open_archive

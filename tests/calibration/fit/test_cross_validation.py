@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.special import chdtri
-from tests.fixtures.clear_day import SGP, SIZE, simulate
 from tests.fixtures.calibration import observed, small_camera, small_problem, spread_directions
+from tests.fixtures.clear_day import SGP, SIZE, simulate
 
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.fit.cross_validation import Doubts, HeldOut, chi_square_limit, doubts, held_out, without_parts

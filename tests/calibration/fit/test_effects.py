@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from tests.fixtures.clear_day import SGP, SIZE, TRUTH, rms, times_of
 from tests.fixtures.calibration import observed, small_camera, small_problem, spread_directions
+from tests.fixtures.clear_day import SGP, SIZE, TRUTH, rms, times_of
 
 from sunarc.calibration.answers.ageing import SEASONS, season_columns
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.calibration.solve.solve_reference import damped_step
 from tests.calibration.paper.equations_reference import equations as equations_in_numpy
+from tests.calibration.solve.solve_reference import damped_step
 from tests.fixtures.calibration import observed, small_camera, spread_directions
 
 from sunarc import _kernels

@@ -8,8 +8,8 @@ import math
 import numpy as np
 import pytest
 from tests.calibration.quality.test_unstated_tilt import ATHENS, fitted
-from tests.fixtures.finding_codes import codes
 from tests.fixtures.calibration import current_document
+from tests.fixtures.finding_codes import codes
 
 from sunarc.calibration.acceptance import apart_sigmas
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance, sigma_deg, without_clock

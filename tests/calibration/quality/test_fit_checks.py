@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import population as pop
 import pytest
-from tests.fixtures.finding_codes import codes
 from tests.fixtures.calibration import SGP, filtered_sightings, small_camera, stated_calibration, sun_arc
+from tests.fixtures.finding_codes import codes
 
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions

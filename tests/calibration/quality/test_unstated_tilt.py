@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.fixtures.finding_codes import codes
 from tests.fixtures.calibration import ideal_camera
+from tests.fixtures.finding_codes import codes
 
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.imager.archive.test_calibrations import document
 from tests.fixtures.fleet import NOON, NOW, batch_of, feed, new_imager, next_batch, sighting
 from tests.fixtures.nights import judged, whole_night
+from tests.imager.archive.test_calibrations import document
 
 from sunarc.common.errors import NotFoundError
 from sunarc.common.findings import Finding, uncoded

@@ -7,9 +7,9 @@ from datetime import UTC, date, datetime, timedelta
 
 import pytest
 from sqlalchemy import text
+from tests.fixtures.archive import store_sun_point
 from tests.fixtures.stores import NOON
 from tests.imager.archive.test_current import serve
-from tests.fixtures.archive import store_sun_point
 
 from sunarc.common.errors import OutsideError
 from sunarc.common.utc import utc_time

@@ -8,8 +8,8 @@ from datetime import timedelta
 from pathlib import Path
 
 import pytest
-from tests.fixtures.finding_codes import codes
 from tests.fixtures.cameras import INFO
+from tests.fixtures.finding_codes import codes
 from tests.imager.workers.clock_faults import START, Imager
 
 from sunarc.imager.archive.archive import Archive

@@ -9,8 +9,8 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
-from tests.fixtures.finding_codes import codes
 from tests.fixtures.archive import make_empty
+from tests.fixtures.finding_codes import codes
 
 from sunarc.imager.app.service import Service
 from sunarc.imager.archive.archive import open_archive

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from tests.fixtures.stores import NOON
 
 from sunarc.common.errors import InputError, NotFoundError
 from sunarc.formats.csv_files import read_sightings, write_sightings
@@ -18,7 +19,6 @@ from sunarc.imager.archive.database.schema import downgrade, upgrade
 from sunarc.imager.archive.values import DayAir, SunPoint
 from sunarc.sky.site import Site
 
-from tests.fixtures.stores import NOON
 from .test_calibrations import document
 
 if TYPE_CHECKING:

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from pydantic import TypeAdapter
 from sqlalchemy import Connection
-from tests.hub.archive.test_feeds import live_a_little
 from tests.fixtures.fleet import NOON, NOW, feed, new_imager, next_batch, sighting
+from tests.hub.archive.test_feeds import live_a_little
 
 from sunarc.common.findings import uncoded
 from sunarc.hub.archive import HubArchive

@@ -8,12 +8,12 @@ from datetime import timedelta
 from pathlib import Path
 
 import pytest
+from tests.fixtures.stores import NOON
 
 from sunarc.common.errors import InputError
 from sunarc.imager.archive.archive import Archive, open_archive
 from sunarc.imager.archive.epochs import LENS_CHANGED
 
-from tests.fixtures.stores import NOON
 from .test_calibrations import MAY, document, served
 
 

@@ -11,12 +11,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from tests.fixtures.stores import NOON, ROOF
 
 from sunarc.common.errors import InputError, NotFoundError
 from sunarc.common.findings import uncoded
 from sunarc.imager.archive.values import SunPoint
-
-from tests.fixtures.stores import NOON, ROOF
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

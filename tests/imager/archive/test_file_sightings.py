@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.fixtures.stores import NOON
 
 from sunarc.common.errors import InputError
 from sunarc.common.utc import to_microseconds
@@ -19,7 +20,6 @@ from sunarc.imager.archive.database.schema import downgrade, upgrade
 from sunarc.imager.archive.values import Event, SunPoint
 from sunarc.sources.image_key import ImageKey, image_key
 
-from tests.fixtures.stores import NOON
 from .test_calibrations import document
 
 FOUND = SunPoint(

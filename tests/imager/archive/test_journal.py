@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from tests.fixtures.archive import make_empty
 from tests.fixtures.nights import judged, whole_night
+from tests.fixtures.stores import ROOF
 
 from sunarc.common.errors import InputError, NotFoundError
 from sunarc.common.findings import Finding, uncoded
@@ -17,7 +18,6 @@ from sunarc.imager.archive.archive import Archive, open_archive
 from sunarc.imager.archive.days import event_night
 from sunarc.imager.archive.values import Day, Event, Refit
 
-from tests.fixtures.stores import ROOF
 from .test_revisions import night_image
 
 NOW = datetime(2013, 5, 14, 2, tzinfo=UTC)

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.imager.archive.test_calibrations import document
 from tests.fixtures.fleet import NOON, new_imager, sighting
+from tests.imager.archive.test_calibrations import document
 
 from sunarc.common.errors import InputError
 from sunarc.common.findings import Finding, uncoded

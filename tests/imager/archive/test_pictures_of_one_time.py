@@ -10,6 +10,7 @@ from datetime import timedelta
 from pathlib import Path
 
 import pytest
+from tests.fixtures.stores import NOON
 
 from sunarc.common.findings import Finding
 from sunarc.imager.archive.archive import Archive, open_archive
@@ -17,7 +18,6 @@ from sunarc.imager.archive.database.schema import downgrade, upgrade
 from sunarc.imager.archive.pictures_of_one_time import TWO_PICTURES
 from sunarc.imager.archive.values import SunPoint
 
-from tests.fixtures.stores import NOON
 from .test_file_sightings import FOUND, REFUSED
 
 RAW = replace(FOUND, folder="raw")

@@ -15,10 +15,11 @@ import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.runtime.migration import MigrationContext
 from sqlalchemy import URL, Engine, event, text
-from tests.imager.archive.test_calibrations import document
 from tests.fixtures.feed_cases import good_rows
 from tests.fixtures.fleet import NOW, batch_of, feed, new_imager, sighting
 from tests.fixtures.postgresql import TEMPLATE, Server, running_server
+from tests.fixtures.stores import NOON, ROOF
+from tests.imager.archive.test_calibrations import document
 
 from sunarc.common.errors import InputError, OutsideError, SchemaError, StoreFullError
 from sunarc.common.findings import uncoded
@@ -30,8 +31,6 @@ from sunarc.imager.archive.database.tables import metadata
 from sunarc.imager.archive.feed_rows import REMOVED, FeedBatch
 from sunarc.imager.archive.sightings import MOVED
 from sunarc.imager.archive.values import SunPoint, field_values
-
-from tests.fixtures.stores import NOON, ROOF
 
 DEPLOY = Path(__file__).parents[3] / "deploy" / "hub"
 POINT = SunPoint(

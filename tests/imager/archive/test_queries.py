@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.fixtures.stores import NOON, ROOF
 
 from sunarc.detection.values import Detection
 from sunarc.imager.archive.archive import Archive, open_archive
@@ -19,8 +20,6 @@ from sunarc.imager.archive.sightings import make_sun_point
 from sunarc.imager.archive.values import SunPoint
 from sunarc.sky.days import solar_date
 from sunarc.sky.site import Site
-
-from tests.fixtures.stores import NOON, ROOF
 
 COUNT = 60
 

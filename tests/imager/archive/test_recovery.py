@@ -10,6 +10,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
+from tests.fixtures.stores import ROOF
 
 from sunarc.common.errors import ConfigurationError, InputError, OutsideError
 from sunarc.imager.archive.archive import Archive, open_archive
@@ -18,8 +19,6 @@ from sunarc.imager.archive.database.backup import backup_into, newest_sound_copy
 from sunarc.imager.archive.database.recovery import prepare_database, upgrade_present
 from sunarc.imager.archive.database.schema import check, downgrade, upgrade
 from sunarc.imager.archive.values import Event
-
-from tests.fixtures.stores import ROOF
 
 NOW = datetime(2026, 5, 1, 2, 0, tzinfo=UTC)
 

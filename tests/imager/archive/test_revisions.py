@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 from tests.fixtures.nights import judged, whole_night
+from tests.fixtures.stores import NOON
 
 from sunarc.common.findings import Finding, uncoded
 from sunarc.hub.archive import HubArchive, open_hub_archive
@@ -28,7 +29,6 @@ from sunarc.imager.archive.sightings import MOVED
 from sunarc.imager.archive.values import Day, DayAir, Event, Housekeeping, Refit, SunPoint
 from sunarc.imager.workers.night.night import night_event
 
-from tests.fixtures.stores import NOON
 from .test_calibrations import document
 
 Rows = list[dict[str, object]]

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from sqlalchemy import insert, text
+from tests.fixtures.stores import NOON, ROOF
 
 from sunarc.common.errors import ConfigurationError, InputError, OutsideError
 from sunarc.imager.archive.archive import open_archive
@@ -28,8 +29,6 @@ from sunarc.imager.archive.database.connections import (
 from sunarc.imager.archive.database.store import given
 from sunarc.imager.archive.database.tables import camera, sun_point
 from sunarc.imager.archive.values import CameraRecord, SunPoint
-
-from tests.fixtures.stores import NOON, ROOF
 
 if TYPE_CHECKING:
     from sunarc.imager.archive.archive import Archive

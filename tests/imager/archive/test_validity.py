@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 from sqlalchemy import Connection, create_engine, insert, select
+from tests.fixtures.stores import NOON, ROOF
 
 from sunarc.imager.archive.calibration_rows import apply_row_interval, clear_interval, end_others, set_columns
 from sunarc.imager.archive.database.tables import calibration, camera, metadata
 from sunarc.imager.archive.values import CalibrationRecord
-
-from tests.fixtures.stores import NOON, ROOF
 
 HOURS = range(40)
 SERVED = ("current", "retired")

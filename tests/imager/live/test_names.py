@@ -12,10 +12,10 @@ from datetime import timedelta
 from pathlib import Path
 
 import pytest
+from tests.archives.in_process import InProcess, use
 from tests.fixtures.command_line import Sunarc, sunarc
 from tests.imager.live.followed import Followed
 from tests.imager.live.test_folder import MORNING, allsky, shot
-from tests.archives.in_process import InProcess, use
 
 from sunarc.common.foreign_files import name_text
 from sunarc.sky.site import Site

@@ -20,8 +20,8 @@ from pathlib import Path
 from threading import Thread
 
 import uvicorn
-from tests.fixtures.served import NOON, SMALL, TOKEN, fill, new_archive, write_image
 from tests.fixtures.calibrations import SITE
+from tests.fixtures.served import NOON, SMALL, TOKEN, fill, new_archive, write_image
 
 from sunarc.imager.archive.values import Refit
 from sunarc.imager.runtime.clock import VirtualClock

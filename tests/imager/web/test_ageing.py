@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from tests.fixtures.served import LENS, NOON, document
 from tests.fixtures.calibrations import chosen_calibration
+from tests.fixtures.served import LENS, NOON, document
 
 from sunarc.client.camera import CameraModel
 from sunarc.common.utc import rfc3339

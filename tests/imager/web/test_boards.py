@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.imager.web.test_event_stream import serving
 from tests.fixtures.calibrations import SITE
 from tests.fixtures.nights import judged
 from tests.fixtures.ports import free_port
+from tests.imager.web.test_event_stream import serving
 
 from sunarc.imager.archive.archive import CameraArchive
 from sunarc.imager.archive.database.store import Reserve

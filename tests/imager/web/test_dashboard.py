@@ -19,8 +19,8 @@ import pytest
 import uvicorn
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page, sync_playwright
-from tests.fixtures.served import LENS, NOON, REFUSED, TOKEN, document, write_image
 from tests.fixtures.calibrations import SITE, chosen_calibration
+from tests.fixtures.served import LENS, NOON, REFUSED, TOKEN, document, write_image
 
 from sunarc.common.findings import Finding
 from sunarc.imager.archive.move_pictures import MovePictures

@@ -6,10 +6,9 @@ from datetime import timedelta
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.fixtures.served import NOON, document
 
 from sunarc.common.utc import rfc3339
-
-from tests.fixtures.served import NOON, document
 
 if TYPE_CHECKING:
     from tests.fixtures.served import Made

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any, cast
 import httpx
 import pytest
 import uvicorn
-from tests.fixtures.served import NOON, document
 from tests.fixtures.calibrations import SITE
+from tests.fixtures.served import NOON, document
 
 from sunarc.client import Imager, ImagerEvent
 from sunarc.imager.archive.values import CameraRecord, Event

@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 import pytest
 from playwright.sync_api import Page
+from tests.fixtures.calibrations import SITE
 from tests.fixtures.served import LENS, NOON, Made, calibration, sightings
 from tests.imager.web.test_dashboard import CUT_OFF, browser, in_a_browser, is_accessible, opened, serving, words
-from tests.fixtures.calibrations import SITE
 
 from sunarc.calibration.model.result import Verdict
 from sunarc.common.findings import Finding

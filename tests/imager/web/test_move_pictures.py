@@ -10,14 +10,13 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from tests.fixtures.served import LENS, NOON, Make
 
 from sunarc.imager.archive.move_pictures import MovePictures
 from sunarc.imager.archive.values import Event
 from sunarc.imager.web.routes.record import draw_horizon
 from sunarc.optics.camera import Camera
 from sunarc.optics.inverse import unproject
-
-from tests.fixtures.served import LENS, NOON, Make
 
 if TYPE_CHECKING:
     from tests.fixtures.served import Made

@@ -12,10 +12,19 @@ import numpy as np
 import pytest
 from playwright.sync_api import Page
 from pydantic import TypeAdapter
-from tests.fixtures.served import LENS, Made, write_image
-from tests.imager.web.test_dashboard import CUT_LABELS, CUT_OFF, browser, in_a_browser, is_accessible, opened, serving, words
-from tests.imager.web.test_nights import NUMBERS, PARTS
 from tests.fixtures.nights import judged
+from tests.fixtures.served import LENS, Made, write_image
+from tests.imager.web.test_dashboard import (
+    CUT_LABELS,
+    CUT_OFF,
+    browser,
+    in_a_browser,
+    is_accessible,
+    opened,
+    serving,
+    words,
+)
+from tests.imager.web.test_nights import NUMBERS, PARTS
 
 from sunarc.common.findings import Finding
 from sunarc.imager.archive.images import DiskOptions, ImageStore

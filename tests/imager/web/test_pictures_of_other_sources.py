@@ -9,12 +9,11 @@ import cv2
 import numpy as np
 import pytest
 from tests.fixtures.archive import new_archive
+from tests.fixtures.served import NOON, Made, Make
 
 from sunarc.common.utc import rfc3339
 from sunarc.imager.archive.images import ImageStore
 from sunarc.imager.archive.seen_files import SeenFile
-
-from tests.fixtures.served import NOON, Made, Make
 
 TIMES = [NOON - timedelta(minutes=n) for n in range(4)]
 

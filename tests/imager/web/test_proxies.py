@@ -25,7 +25,6 @@ from sunarc.imager.web.options import ApiOptions
 
 if TYPE_CHECKING:
     from starlette.types import Receive, Scope, Send
-
     from tests.fixtures.served import Make
 
 PAGE = Path(__file__).parents[3] / "docs/operating/install.md"

@@ -14,7 +14,6 @@ from pathlib import Path
 
 import httpx
 import numpy as np
-
 from tests.fixtures.served import TOKEN, Made, Make, write_image
 
 LIST = Path(__file__).with_name("wrong_requests.txt")

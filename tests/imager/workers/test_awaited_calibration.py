@@ -7,8 +7,8 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
-from tests.fixtures.served import document
 from tests.fixtures.archive import new_archive, store_sun_point
+from tests.fixtures.served import document
 
 from sunarc.common.findings import Finding
 from sunarc.imager.archive.archive import Archive, CameraArchive

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import pytest
-from tests.fixtures.served import LENS, calibration
 from tests.fixtures.calibrations import SITE
+from tests.fixtures.served import LENS, calibration
 
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import Sightings

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.fixtures.finding_codes import codes
 from tests.fixtures.archive import make_empty
+from tests.fixtures.finding_codes import codes
 from tests.imager.workers.test_watch import DAY, NOON, SIZE, TRUTH, Imager, off_in_sigmas, turned
 
 from sunarc.calibration.calibrate import calibrate

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.fixtures.rotated_cameras import FIRST_NOON, Neighbour, Wrong, neighbours
 from tests.fixtures.archive import make_empty
+from tests.fixtures.rotated_cameras import FIRST_NOON, Neighbour, Wrong, neighbours
 
 from sunarc.formats.calibration_document import to_document
 from sunarc.hub.archive import HubArchive, open_hub_archive

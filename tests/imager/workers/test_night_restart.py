@@ -63,9 +63,7 @@ def one_night(archive: Archive) -> Event:
 
 def killed(folder: Path, *minutes: int, at_verdict: bool) -> None:
     """Look at images of a night in a process of its own, which is killed after them or at the verdict."""
-    script = (
-        f"import tests.imager.workers.test_night_restart as here; here.look_and_die({str(folder)!r}, {minutes}, {at_verdict})"
-    )
+    script = f"from {__name__} import look_and_die; look_and_die({str(folder)!r}, {minutes}, {at_verdict})"
     done = subprocess.run([sys.executable, "-c", script], cwd=Path(__file__).parents[3], check=False, timeout=200)
     assert done.returncode == -signal.SIGKILL
 

@@ -11,9 +11,9 @@ import numpy as np
 import pandas as pd
 import pvlib
 import pytest
-from tests.fixtures.served import LENS, document
 from tests.fixtures.archive import make_empty
 from tests.fixtures.calibrations import SITE
+from tests.fixtures.served import LENS, document
 
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import Sightings

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.fixtures.finding_codes import codes
 from tests.fixtures.archive import new_archive
+from tests.fixtures.finding_codes import codes
 from tests.imager.workers.conftest import refit_worker
 
 from sunarc.calibration.calibrate import calibrate

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from tests.fixtures.finding_codes import codes
 from tests.fixtures.archive import make_empty
+from tests.fixtures.finding_codes import codes
 
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate

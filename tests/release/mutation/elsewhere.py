@@ -9,18 +9,7 @@ from functools import cache
 from pathlib import Path
 
 _FARTHEST, _MOST = 3, 12
-_APART = {
-    "benchmarks",
-    "booted",
-    "cameras",
-    "campaign",
-    "client",
-    "diagnostics",
-    "field",
-    "house",
-    "mutation",
-    "system",
-}
+_APART = {"benchmarks", "booted", "client", "house", "release", "system"}
 _MARKED = re.compile(r"^pytestmark\b.*\bmark\.(slow|gige|system|browser|waits|release)\b", re.MULTILINE)
 
 

@@ -10,7 +10,7 @@ run once, traced, to learn which lines they reach; `--lines FILE` keeps that for
 changes to files whose name holds one of some texts.
 
 Not drawn are texts, messages of errors, annotations and decorators, and the numbers whose growth is without effect by
-their place: guards against zero, conditions of rest, limits of rounds, seeds, finer grids (tests/release/mutation/idle.py).
+their place: guards against zero, conditions of rest, limits of rounds, seeds, finer grids (`idle.py`).
 """
 
 from __future__ import annotations
@@ -124,7 +124,18 @@ def _reach(options: argparse.Namespace, folder: Path) -> dict[str, Any]:
     path = options.lines or folder / "lines.json"
     if not path.exists():
         rooms = [str(ROOT / "tests" / room) for room in options.rooms]
-        command = [sys.executable, "-m", "pytest", "-q", "-p", "tests.release.mutation.record", "-m", FAST, "--timeout", "900"]
+        command = [
+            sys.executable,
+            "-m",
+            "pytest",
+            "-q",
+            "-p",
+            "tests.release.mutation.record",
+            "-m",
+            FAST,
+            "--timeout",
+            "900",
+        ]
         environment = _environment(ROOT / "service")
         environment |= {"SUNARC_LINES": str(path), "SUNARC_LINES_ROOMS": " ".join(options.rooms)}
         subprocess.run([*command, *rooms], cwd=ROOT, env=environment, check=True)
