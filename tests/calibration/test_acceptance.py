@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -103,6 +104,13 @@ def test_days_left_out_that_are_met_worse_than_expected_speak_against_a_fit(
     assert (verdict.accepted, verdict.marginal) == (False, marginal)
     assert codes(verdict.findings) == ["cross_validation_rmse"]
     assert verdict.findings[0].data == {"rmse_px": found, "expected_px": 0.03}
+
+
+def test_no_distance_of_a_refused_succession_is_larger_than_the_image(calibrated: Calibration) -> None:
+    metrics = replace(calibrated.metrics, held_out_rmse_px=1e7, held_out_expected_px=0.03)
+    (found,) = accept(replace(calibrated, metrics=metrics)).findings
+    diagonal_px = math.hypot(calibrated.camera.width, calibrated.camera.height)
+    assert found.data == {"rmse_px": pytest.approx(diagonal_px), "expected_px": 0.03}
 
 
 def test_a_focal_length_that_follows_the_season_contradicts_no_camera_of_another_season(

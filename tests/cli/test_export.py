@@ -3,12 +3,13 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 import pytest
-from tests.formats.conftest import LENS, document_of
+from tests.fixtures.calibrations import chosen_calibration
+from tests.formats.conftest import LENS, document_of, document_of_fit
 
 if TYPE_CHECKING:
     from tests.fixtures.command_line import Sunarc
@@ -35,8 +36,11 @@ def test_a_calibration_is_written_in_another_format_and_its_error_said(
 @pytest.mark.parametrize(
     ("arguments", "names"),
     [
-        (("--format", "matlabs"), "--format: 'matlabs' is unknown; use one of json, opencv"),
+        (("--format", "matlabs"), "[format_unknown]"),
         (("--format", "npz", "-o", "/nowhere/x.npz"), "cannot write /nowhere/x.npz"),
+        (("--format", "json", "--at", "yesterday"), "--at: 'yesterday' is not a time"),
+        (("--format", "json", "--at", "2014-05-13T18:30:00"), "--at: '2014-05-13T18:30:00' has no time zone"),
+        (("--format", "json", "--at", "0001-01-01T00:00:00+12:00"), "--at: '0001-01-01T00:00:00+12:00' is not within"),
     ],
 )
 def test_what_cannot_be_exported_is_said_in_one_line(
@@ -96,3 +100,37 @@ def test_a_file_that_is_no_calibration_is_named(sunarc: Sunarc, tmp_path: Path) 
     path.write_text("[]")
     answer = sunarc("export", "--calibration", str(path), "--format", "mrcal")
     assert (answer.code, "list.json: " in answer.err) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("at", "aged_days"),
+    [
+        ("2013-05-16T18:30:00Z", 0),  # within a week of the sightings
+        ("2013-11-13T19:30:00+01:00", 183),
+        ("2012-11-13T18:30:00Z", -183),  # before the calibration: the season differs as much
+    ],
+)
+def test_the_exported_uncertainty_is_that_of_a_time(sunarc: Sunarc, tmp_path: Path, at: str, aged_days: int) -> None:
+    made = chosen_calibration(
+        LENS,
+        names=("focal_length_x_px", "focal_length_y_px", "rotation_z"),
+        covariance=np.diag([1e-4, 1e-4, 1e-10]),
+        orders=np.array([[1, 1]]),
+    )
+    path = tmp_path / "calibration.json"
+    path.write_text(json.dumps(document_of_fit(made)))
+
+    def exported(*arguments: str) -> dict[str, Any]:
+        target = tmp_path / "exported.json"
+        answer = sunarc("export", "--calibration", str(path), "--format", "json", "-o", str(target), *arguments)
+        assert answer.code == 0
+        found: dict[str, Any] = json.loads(target.read_text())
+        return found
+
+    of_fit, then = exported(), exported("--at", at)
+    assert then["uncertainty"].get("aged_days", 0) == aged_days
+    assert {key for key in then if then[key] != of_fit[key]} == ({"uncertainty"} if aged_days else set())
+    # half a wave of 1-sigma 3e-4 and a tenth of it that years differ by, of 601 px
+    more_px = float(np.sqrt(then["uncertainty"]["covariance"][0][0] - of_fit["uncertainty"]["covariance"][0][0]))
+    assert (2.0 * 3e-4 * 601.32 <= more_px <= 2.4 * 3e-4 * 601.32) if aged_days else more_px == 0.0
+    assert (then["uncertainty"]["sky_rms_deg"] > of_fit["uncertainty"]["sky_rms_deg"]) is bool(aged_days)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from tests.fixtures.calibrations import chosen_calibration
 
 from sunarc.calibration.answers.covariance import hemisphere
+from sunarc.calibration.model.result import Calibration
 from sunarc.formats.calibration_document import to_document
 from sunarc.formats.exported import Exported
 from sunarc.formats.formats import export
@@ -35,12 +36,18 @@ LENS = Camera(
 
 def document_of(camera: Camera) -> dict[str, Any]:
     """Return the document of a calibration whose every number is chosen."""
-    made = chosen_calibration(
-        camera,
-        names=("principal_point_x_px", "rotation_z"),
-        covariance=np.array([[1e-4, 1e-8], [1e-8, 1e-10]]),
-        orders=np.array([[1, 1]]),
+    return document_of_fit(
+        chosen_calibration(
+            camera,
+            names=("principal_point_x_px", "rotation_z"),
+            covariance=np.array([[1e-4, 1e-8], [1e-8, 1e-10]]),
+            orders=np.array([[1, 1]]),
+        )
     )
+
+
+def document_of_fit(made: Calibration) -> dict[str, Any]:
+    """Return the document of a calibration, current since 2013-05-13."""
     day = datetime(2013, 5, 13, tzinfo=UTC)
     return to_document(
         made,
