@@ -49,7 +49,7 @@ def test_a_low_northern_sky_is_named_and_the_sun_is_never_there(monkeypatch: pyt
     found = part(monkeypatch, lambda zenith, azimuth: (zenith > 70.0) & (off(azimuth, 0.0) < 25.0))
     assert found is not None
     assert found.text == "towards the north, below 20° of elevation"
-    assert (found.sun_today, found.sun_next) == ((), None)
+    assert (found.sun_times, found.sun_next) == ((), None)
     assert "night.enabled" in found.remedy(observes_stars=False)
     assert "night.enabled" not in found.remedy(observes_stars=True)
 
@@ -57,15 +57,30 @@ def test_a_low_northern_sky_is_named_and_the_sun_is_never_there(monkeypatch: pyt
 def test_a_ring_at_the_horizon_is_all_round_and_the_sun_is_there_after_it_rises(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    found = part(monkeypatch, lambda zenith, _: zenith > 65.0)
+    found = part(monkeypatch, lambda zenith, _: zenith > 65.0, now=EQUINOX - 6.0 * 3600.0)
     assert found is not None
     assert found.text == "all round, below 25° of elevation"
-    assert len(found.sun_today) == 2
-    for first, last in found.sun_today:
+    assert len(found.sun_times) == 2
+    for first, last in found.sun_times:
         zenith = sun_angles(np.linspace(first, last - 300.0, 20), SITE).apparent_zenith
         assert np.all((zenith > 61.0) & (zenith <= 90.0))
         assert 1.4 * 3600.0 < last - first < 2.6 * 3600.0
     assert found.remedy(observes_stars=False).startswith("it improves with sightings of the sun there, today from ")
+
+
+def test_hours_that_are_past_are_left_out_and_after_the_last_those_of_tomorrow_are_named(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # at 97.5 degrees west the equinox's sun rises at 12:37 and sets at 00:42 UTC; the solar day ends at 06:30 UTC
+    noon, night = (part(monkeypatch, lambda z, _: z > 65.0, now=EQUINOX + h * 3600.0) for h in (0.0, 9.0))
+    assert noon is not None
+    assert night is not None
+    assert (len(noon.sun_times), noon.sun_is_tomorrow) == (1, False)
+    assert noon.sun_times[0][0] > EQUINOX
+    assert "today from 22:" in noon.remedy(observes_stars=False)
+    assert (len(night.sun_times), night.sun_is_tomorrow) == (2, True)
+    assert night.sun_times[0][0] > EQUINOX + 9.0 * 3600.0
+    assert "tomorrow from 12:" in night.remedy(observes_stars=False)
 
 
 def test_a_part_that_the_sun_reaches_in_another_season_has_its_date(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -73,7 +88,7 @@ def test_a_part_that_the_sun_reaches_in_another_season_has_its_date(monkeypatch:
     assert found is not None
     assert found.text.endswith("above 65° of elevation")
     # at 36.6 degrees north the sun culminates at a zenith angle of 22 degrees where its declination is 14.6: 29 April
-    assert found.sun_today == ()
+    assert found.sun_times == ()
     assert found.sun_next is not None
     assert abs((found.sun_next - datetime(2025, 4, 29, tzinfo=UTC).date()).days) <= 6
 
@@ -94,7 +109,7 @@ def test_in_auckland_the_sun_is_in_the_north(monkeypatch: pytest.MonkeyPatch) ->
     auckland = replace(SITE, latitude=-36.85, longitude=174.76)
     found = part(monkeypatch, northern, auckland)
     assert found is not None
-    assert found.sun_today
+    assert found.sun_times
 
 
 def test_a_camera_of_few_sightings_far_from_the_centre_is_uncertain_low_down() -> None:

@@ -169,14 +169,14 @@ def test_the_map_and_the_exports_come_as_they_are(imager: Imager) -> None:
 
 def test_conditions_come_with_code_severity_and_data(imager: Imager, board: StatusRegistry) -> None:
     assert imager.conditions() == ()
-    low = condition("disk_low", folder="/var", free_mb=812.0, images_mb=90_000.0)
+    low = condition("disk_low", folder="/var", free_mb=812.0, lacking_mb=388.0, images_mb=90_000.0)
     board.set_condition("disk_low", low)
     board.set_condition("worker_stuck_web", make_condition("worker_stuck", "web", severity="not_ready", limit_s=60.0))
     first, second = imager.conditions()
     assert first == (
         "disk_low",
         "degraded",
-        {"folder": "/var", "free_mb": 812.0, "images_mb": 9e4},
+        {"folder": "/var", "free_mb": 812.0, "lacking_mb": 388.0, "images_mb": 9e4},
         low.text,
         low.remedy,
         board.snapshot().reasons[0].since,

@@ -23,7 +23,7 @@ from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser
 from tests.fixtures.calibrations import SITE, chosen_calibration
 from tests.fixtures.nights import judged
-from tests.fixtures.served import LENS, NOON, calibration, fill, new_archive, sightings
+from tests.fixtures.served import LENS, NOON, calibration, document, fill, new_archive, sightings
 from tests.imager.web.test_dashboard import browser, opened, serving_app
 
 from sunarc.calibration.model.result import Verdict
@@ -45,6 +45,7 @@ from sunarc.imager.runtime.status import (
 from sunarc.imager.web.app import create_app
 from sunarc.imager.web.options import ApiOptions
 from sunarc.imager.workers.calibrating.moves import MoveConditions
+from sunarc.imager.workers.calibrating.refit import CalibrationIntegrityCheck
 from sunarc.imager.workers.clock_watch import clock_cost_text
 from sunarc.imager.workers.night.images import night_picture, store_picture
 from sunarc.lab.simulation.made_archive import encoded, photograph
@@ -139,8 +140,10 @@ def clock(stage: Stage) -> None:
     """Show a calibrated camera whose host has lost its time service."""
     ready(stage)
     stage.board.note(clock=ClockStatus(synchronised=False, max_error_s=16.0))
+    cost = clock_cost_text(0.006, error_s=16.0)
     stage.board.set_condition(
-        "clock_unsynchronised", condition("clock_unsynchronised", clock="host", cost=clock_cost_text(0.006))
+        "clock_unsynchronised",
+        condition("clock_unsynchronised", clock="host", cost=cost),
     )
 
 
@@ -176,7 +179,7 @@ def full_disk(stage: Stage) -> None:
     """Show a disk that another program has filled."""
     ready(stage)
     stage.board.note(disk=DiskStatus(free_bytes=31 * 10**6, images_bytes=10**6))
-    lacking = condition("disk_full", folder="/var/lib/sunarc/images", free_mb=31.0, images_mb=1.0)
+    lacking = condition("disk_full", folder="/var/lib/sunarc/images", free_mb=31.0, lacking_mb=1169.0, images_mb=1.0)
     stage.board.set_condition("disk_full", lacking)
 
 
@@ -223,16 +226,20 @@ def night(stage: Stage) -> None:
 
 
 def auckland(stage: Stage) -> None:
-    """Show a camera in New Zealand, in its first hours."""
+    """Show a calibrated camera in New Zealand."""
     stage.site, stage.timezone = AUCKLAND, "Pacific/Auckland"
     stage.now = datetime(2013, 5, 13, 23, 30, tzinfo=UTC)
     stage.archive.cameras.save(CameraRecord.at(AUCKLAND, name="roof", width=LENS.width, height=LENS.height))
+    since = stage.now - timedelta(hours=4)
+    stage.archive.sightings.add(sightings(stage.now, site=AUCKLAND, first=since))
+    stage.archive.calibrations.add(document("first"))
+    stage.archive.calibrations.activate("first")
     stage.running()
-    stage.board.set_condition("no_calibration", condition("no_calibration", n=0))
 
 
 def _changed(stage: Stage, kind: str, text: str, **sizes: float) -> Event:
     """Write an event of a change, serve a provisional pose, and set the conditions as the service does."""
+    camera = CameraArchive(stage.archive, name="roof", site=SITE)
     details = {**sizes, TO_ACKNOWLEDGE: True}
     stage.archive.epochs.open("roof", at=MOVED_AT, reason=text)
     event = Event(time=MOVED_AT, kind=kind, severity="alarm", text=text, camera="roof", details=details)
@@ -247,7 +254,13 @@ def _changed(stage: Stage, kind: str, text: str, **sizes: float) -> Event:
             valid_until=None, pose_epoch="roof-2", software_version="0.1.0",
         )  # fmt: skip
         stage.archive.calibrations.activate(stage.archive.calibrations.add(written).id)
-    MoveConditions(camera=CameraArchive(stage.archive, name="roof", site=SITE), board=stage.board).follow()
+        stage.board.set_condition(
+            "provisional_pose", condition("provisional_pose", severity="note", n=6, sigma_deg=0.3)
+        )
+    else:
+        stage.archive.calibrations.retire("second", at=MOVED_AT)
+        CalibrationIntegrityCheck(camera, now=lambda: NOON, board=stage.board).check()
+    MoveConditions(camera=camera, board=stage.board).follow()
     return event
 
 

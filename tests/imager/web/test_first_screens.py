@@ -34,7 +34,7 @@ def test_a_sky_that_is_certain_in_part_says_where_it_is_not_and_what_improves_it
         page.wait_for_selector("#improves:not(:empty)", timeout=30_000)
         assert re.fullmatch(r"Ready for \d\d % of the sky", words(page, "#health-word"))
         assert words(page, "#state-text") == "1-sigma is above 1.5° all round, below 35° of elevation"
-        assert words(page, "#improves").startswith("it improves with sightings of the sun there, today from 11:")
+        assert words(page, "#improves").startswith("it improves with sightings of the sun there, today from 22:")
 
 
 @in_a_browser
@@ -57,7 +57,9 @@ def test_what_to_do_after_a_move_and_its_button_stand_before_the_pictures(width:
         places = [one["y"] for one in tops if one]
         assert places == sorted(places)
         assert places[1] < 844
-        assert "check the mount" in words(page, "#moves .action")
+        assert "only where others rely on its old direction" in words(page, "#moves .action")
+        assert "api.token_file" in words(page, "#moves form")
+        assert "pose estimated 25 min ago" in words(page, "#headline")
         assert page.query_selector("#reasons [data-code=camera_moved]") is None  # said once
 
 
@@ -66,7 +68,11 @@ def test_a_camera_that_sent_no_image_is_not_said_to_have_missed_the_sun() -> Non
     with served("fresh") as address, browser() as chromium:
         page = opened(chromium, address).page
         page.wait_for_selector("#first-facts >> text=no image has come from the camera", timeout=30_000)
-        assert page.inner_text("#reasons code >> nth=0") == "sunarc points import"
+        assert page.get_attribute("#reasons li >> nth=0", "data-code") == "no_frame_yet"
+        assert "sunarc points import" in page.inner_text("#reasons li >> nth=1")
+        checks = words(page, "#first-checks")
+        assert "camera: not known yet" in checks
+        assert "the mark is" not in checks
         assert "`" not in page.inner_text("body")
 
 
@@ -76,6 +82,23 @@ def test_the_exposures_of_a_lost_camera_wait_for_it() -> None:
         page = opened(chromium, address).page
         page.wait_for_selector("#workers >> text=waiting for the camera", timeout=30_000)
         assert len(page.query_selector_all("#workers >> text=waiting for the camera")) == 1
+
+
+@in_a_browser
+def test_without_its_camera_a_service_answers_directions_and_says_so() -> None:
+    with served("gone") as address, browser() as chromium:
+        page = opened(chromium, address).page
+        page.wait_for_selector("#state-text >> text=no new frames come", timeout=30_000)
+        assert words(page, "#state-text").endswith("directions are answered with the last calibration")
+
+
+@in_a_browser
+def test_after_a_change_of_focus_no_uncertainty_of_the_lens_before_is_shown() -> None:
+    with served("lens") as address, browser() as chromium:
+        page = opened(chromium, address).page
+        page.wait_for_selector("#headline >> text=no calibration serves", timeout=30_000)
+        assert "no calibration since" in words(page, "#state-text")
+        assert "uncertainty" not in words(page, "header")
 
 
 @in_a_browser

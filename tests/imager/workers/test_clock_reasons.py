@@ -39,6 +39,7 @@ def test_a_clock_that_nothing_corrects_is_priced_in_degrees() -> None:
     """The sun turns by 360 degrees in a day: 0.0042 in a second; 50 ppm are 4.3 s and 0.02 degrees a day."""
     assert "0.0042°" in clock_cost_text(None)
     assert "1-sigma" not in clock_cost_text(None)
-    calibrated = clock_cost_text(0.0123)
-    for value in ("1-sigma of 0.012°", "0.0042°", "0.02° more each day"):
+    calibrated = clock_cost_text(0.0123, error_s=16.0)
+    for value in ("1-sigma of 0.012°", "16 s off", "0.07° off", "0.02° more each day"):
         assert value in calibrated
+    assert "°" not in clock_cost_text(None, error_s=1.4e9)

@@ -82,6 +82,10 @@ def test_others_take_the_disk_images_go_then_the_reserve_and_all_comes_back(
     worker.check()
     assert store.usage().images_bytes == 0
     assert reasons(board) == {"disk_low"}
+    data = board.snapshot().reasons[0].data
+    assert data["lacking_mb"] == pytest.approx(OPTIONS.keep_free_mb - float(data["free_mb"]))
+    assert float(data["lacking_mb"]) > 0.0
+    assert data["folder"] == str(store.folder)
     disk.others_bytes = 6_900_000
     worker.check()
     assert reasons(board) == {"disk_full"}

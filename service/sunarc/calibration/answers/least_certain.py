@@ -41,8 +41,10 @@ class LeastCertain:
     """Its lowest elevation, degrees; 0 where it reaches the horizon."""
     to_deg: float
     """Its highest elevation, degrees; 90 where it reaches the zenith."""
-    sun_today: tuple[tuple[float, float], ...]
-    """Intervals of the solar day in which the sun is there, seconds since 1970-01-01 UTC."""
+    sun_times: tuple[tuple[float, float], ...]
+    """Intervals in which the sun is there, of those today that have not ended, else of tomorrow; unix seconds, UTC."""
+    sun_is_tomorrow: bool
+    """Whether they are of the next solar day."""
     sun_next: date | None
     """Solar date from which on the sun is there, to within 5 days; None where it is never there within a year."""
 
@@ -60,9 +62,10 @@ class LeastCertain:
 
     def remedy(self, *, observes_stars: bool) -> str:
         """Return which sightings make it more certain, in words."""
-        if self.sun_today:
-            spans = " and ".join(f"{utc_time(a):%H:%M} to {utc_time(b):%H:%M}" for a, b in self.sun_today)
-            return f"it improves with sightings of the sun there, today from {spans} UTC"
+        if self.sun_times:
+            spans = " and ".join(f"{utc_time(a):%H:%M} to {utc_time(b):%H:%M}" for a, b in self.sun_times)
+            day = "tomorrow" if self.sun_is_tomorrow else "today"
+            return f"it improves with sightings of the sun there, {day} from {spans} UTC"
         if self.sun_next is not None:
             return f"it improves with sightings of the sun, which is there again from about {self.sun_next:%d %b} on"
         return "the sun is never there: " + (
@@ -91,12 +94,13 @@ def find_least_certain(calibration: Calibration, site: Site, *, limit_deg: float
     named = _choose_eighths(np.asarray(azimuth), beyond)
     part = beyond & named[_number_eighth(np.asarray(azimuth))]
     lowest, highest = np.quantile(90.0 - np.asarray(zenith)[part], _OUTERMOST)
-    today, following = _find_sun_there(seen, part, site, unix_s)
+    spans, is_tomorrow, following = _find_sun_there(seen, part, site, unix_s)
     return LeastCertain(
         directions=_name_ranges(named),
         from_deg=0.0 if lowest <= _EDGES_DEG[0] else _ROUND_DEG * math.floor(lowest / _ROUND_DEG),
         to_deg=90.0 if highest >= _EDGES_DEG[1] else _ROUND_DEG * math.ceil(highest / _ROUND_DEG),
-        sun_today=today,
+        sun_times=spans,
+        sun_is_tomorrow=is_tomorrow,
         sun_next=following,
     )
 
@@ -130,8 +134,8 @@ def _name_ranges(named: BoolArray) -> tuple[str, ...]:
 
 def _find_sun_there(
     seen: FloatArray, part: BoolArray, site: Site, unix_s: float
-) -> tuple[tuple[tuple[float, float], ...], date | None]:
-    """Return when the sun is in a part of the sky today, and else the next date on which it is."""
+) -> tuple[tuple[tuple[float, float], ...], bool, date | None]:
+    """Return when the sun is in a part of the sky today or else tomorrow, whether tomorrow, and else the next date."""
 
     def is_there(times: FloatArray) -> BoolArray:
         angles = sun_angles(times, site)
@@ -142,11 +146,13 @@ def _find_sun_there(
     today = solar_date(unix_s, longitude=site.longitude)
     start, end = day_bounds_unix_s(today, longitude=site.longitude)
     times = np.arange(start, end, _STEP_S)
-    edges = np.flatnonzero(np.diff(is_there(times).astype(np.int8), prepend=0, append=0))
-    if edges.size:
-        ends = np.append(times, end)[edges].reshape(-1, 2)
-        return tuple((float(first), float(last)) for first, last in ends), None
+    for day in (0, 1):
+        edges = np.flatnonzero(np.diff(is_there(times + day * DAY_S).astype(np.int8), prepend=0, append=0))
+        ends = np.append(times, end)[edges].reshape(-1, 2) + day * DAY_S
+        spans = tuple((float(first), float(last)) for first, last in ends if last > unix_s)
+        if spans:
+            return spans, day == 1, None
     for day in np.arange(_NEXT_DAYS, _YEAR_DAYS, _NEXT_DAYS):
         if np.any(is_there(times[::2] + day * DAY_S)):
-            return (), today + timedelta(days=float(day))
-    return (), None
+            return (), False, today + timedelta(days=float(day))
+    return (), False, None

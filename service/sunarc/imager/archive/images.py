@@ -55,9 +55,10 @@ class DiskOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DiskUsage:
-    """Free space, space of the images, time of the oldest one, and whether inodes are short."""
+    """Space that is free and is to be kept free, space of the images, time of the oldest one, lack of inodes."""
 
     free_bytes: int
+    keep_free_bytes: int
     images_bytes: int
     oldest_image_at: datetime | None
     out_of_files: bool = False
@@ -214,6 +215,7 @@ class ImageStore:
             oldest = self._find_oldest_image()
             return DiskUsage(
                 free_bytes=self._measure_free_bytes(),
+                keep_free_bytes=self._keep_free_bytes,
                 out_of_files=self._lacks_inodes(),
                 images_bytes=self._bytes,
                 oldest_image_at=None if oldest is None else _captured_at(oldest),

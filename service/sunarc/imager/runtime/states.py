@@ -22,7 +22,7 @@ WORDS: Mapping[State, str] = {
 CONDITIONS: Mapping[State, tuple[str, ...]] = {
     "not_serving": ("silent",),
     "attention": ("camera_replaced", "lens_changed", "camera_moved"),
-    "starting": ("no_calibration", "uncalibrated", "first_sun", "first_pose_provisional", "no_frame_yet"),
+    "starting": ("no_frame_yet", "no_calibration", "uncalibrated", "first_sun", "first_pose_provisional"),
     "ready_with_note": (
         *("camera_replaced_fitted", "lens_changed_fitted", "camera_moved_fitted"),
         *("provisional_pose", "provisional_calibration", "evidence_changed"),

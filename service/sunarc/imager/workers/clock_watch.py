@@ -506,8 +506,15 @@ class ClockWatch:
         """Return that the clock is not synchronised, with the error that it makes in degrees."""
         return Finding(
             "clock_unsynchronised",
-            {"clock": self._name_stepped_clock, "cost": clock_cost_text(self._served_sigma_deg())},
+            {
+                "clock": self._name_stepped_clock,
+                "cost": clock_cost_text(self._served_sigma_deg(), error_s=self._supposed_error_s()),
+            },
         )
+
+    def _supposed_error_s(self) -> float:
+        """Return how far the unsynchronised clock may be off: the camera's step, or what the kernel states last."""
+        return abs(self._camera_off_s) or self._clock.state().error_bound_s
 
     def _served_sigma_deg(self) -> float | None:
         """Return the 1-sigma over the sky of the served calibration; None without one that can be read."""
@@ -539,16 +546,25 @@ _ABOUT_S = 1.0
 """How near to TAI less UTC a difference must be to be called that."""
 
 
-def clock_cost_text(sigma_deg: float | None) -> str:
-    """Return in words the error of directions by a clock that nothing corrects; `sigma_deg` is the served 1-sigma."""
-    sky = f"each second that it is wrong moves the expected sun by {_SUN_DEG_PER_S:.4f}°"
-    if sigma_deg is None:
-        return sky
-    a_day_deg = _SUN_DEG_PER_S * DAY_S * _QUARTZ
-    return (
-        f"directions of pixels keep their 1-sigma of {significant(sigma_deg, 2)}°; {sky}, "
-        f"by up to {significant(a_day_deg, 1)}° more each day"
-    )
+def clock_cost_text(sigma_deg: float | None, *, error_s: float = 0.0) -> str:
+    """Return in words the error of directions by a clock that nothing corrects.
+
+    Parameters
+    ----------
+    sigma_deg : the served 1-sigma; None without a calibration.
+    error_s : how far the clock may be off now, seconds; 0 where that is not known.
+    """
+    a_day_deg = significant(_SUN_DEG_PER_S * DAY_S * _QUARTZ, 1)
+    if error_s >= DAY_S / 2.0:
+        sky = "the clock may be off by a day or more: the sun may be expected anywhere"
+    elif error_s > 0.0:
+        error_deg = significant(_SUN_DEG_PER_S * error_s, 1)
+        sky = f"the clock may be {significant(error_s, 2)} s off: the expected sun may be {error_deg}° off"
+        sky += f", and {a_day_deg}° more each day"
+    else:
+        sky = f"each second that it is wrong moves the expected sun by {_SUN_DEG_PER_S:.4f}°"
+    kept = "" if sigma_deg is None else f"; directions of pixels keep their 1-sigma of {significant(sigma_deg, 2)}°"
+    return sky + kept
 
 
 def stepped(code: str, clock: str, step: ClockStep) -> Finding:

@@ -102,8 +102,13 @@ class DiskWorker:
             return None
         else:
             code = "disk_low" if self.reserve.held() else "disk_full"
-        free_mb, images_mb = usage.free_bytes / 1e6, usage.images_bytes / 1e6
-        return condition(code, folder=str(self.store.folder), free_mb=free_mb, images_mb=images_mb)
+        return condition(
+            code,
+            folder=str(self.store.folder),
+            free_mb=usage.free_bytes / 1e6,
+            lacking_mb=max(usage.keep_free_bytes - usage.free_bytes, 0) / 1e6,
+            images_mb=usage.images_bytes / 1e6,
+        )
 
 
 _DATABASE_EVERY_S = 2.0

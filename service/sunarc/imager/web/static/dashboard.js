@@ -17,6 +17,7 @@ import { Zoom } from "./zoom.js";
 const SIGNS = { ready: ["✓", "Ready"], ready_with_note: ["✓", "Ready, with a note"], starting: ["…", "Starting"], attention: ["!", "Attention"], not_serving: ["✕", "Not serving"], gone: ["✕", "No answer"], locked: ["!", "Locked"] };
 const SHOWN_ELSEWHERE = ["health", "state", "state_text", "notes", "pose", "reasons", "findings", "version", "camera_name", "frame_time", "workers", "calibration", "last_day", "image_size", "is_replay", "timezone", "obstructions", "sky"];
 const CONDITION_SIGNS = { note: "i", degraded: "!", not_ready: "✕" };
+const OF_POSE_ALONE = ["provisional_pose", "first_pose_provisional"];
 const NO_ACTION = "none"; // as docs/codes.md has it
 const MOST_POINTS = 1000;
 const SAME_MS = 60000; // a sighting of the picture's cycle
@@ -36,7 +37,7 @@ const COUNTED_DAYS = 366; // as many as are counted at once
 const MOST_HOURLY_DAYS = 31; // of longer spans housekeeping is shown by day
 const known = {
   status: null, moves: [], points: [], calibrations: [], days: [], nights: [], counts: [], housekeeping: { step: "hour", rows: [] },
-  overlay: null, sun: null, sunInPicture: null, uncertainty: null, asked: null, site: null, calibration: undefined, residualsBy: undefined, date: null, events: MORE_EVENTS, kinds: new Set(),
+  overlay: null, sun: null, sunInPicture: null, uncertainty: null, asked: null, site: null, calibration: undefined, residualsBy: undefined, hour: null, events: MORE_EVENTS, kinds: new Set(),
 };
 
 function showHealth(health, headline, stateText = "") {
@@ -65,12 +66,14 @@ async function refreshStatus() {
   $("replay").hidden = !status.is_replay;
   write($("replay"), status.is_replay ? `▶ replay: its clock shows ${zoned(status.frame_time, status.timezone)}` : "");
   const c = status.calibration;
-  const before = [...status.reasons, ...status.notes].some((one) => one.code === "lens_changed") ? " before the change of the lens" : "";
-  const quality = c ? `calibrated ${ago(c.created_at, status.frame_time)}, direction uncertainty ${telling(c.sky_rms_deg, "°")}${before}` : known.calibrations.length ? "no calibration serves" : "not calibrated yet";
+  const conditions = [...status.reasons, ...status.notes].sort((one, other) => Number(other.text === status.state_text) - Number(one.text === status.state_text));
+  const has = (...codes) => conditions.some(({ code }) => codes.includes(code));
+  const uncertain = has("lens_changed") ? "before the change of the lens" : c && `direction uncertainty ${telling(c.sky_rms_deg, "°")}`;
+  const quality = c ? `${has(...OF_POSE_ALONE) ? "pose estimated" : "calibrated"} ${ago(c.created_at, status.frame_time)}, ${uncertain}` : known.calibrations.length ? "no calibration serves" : "not calibrated yet";
   const seen = status.last_sighting_at ? `last sighting ${ago(status.last_sighting_at, status.frame_time)}` : "no sighting yet";
-  showHealth(status.state, [...lastClearDay(), quality, seen].join(" · "), status.state === "ready" ? "" : status.state_text);
+  showHealth(status.state, [...lastClearDay(), quality, seen].join(" · "), status.state === "ready" ? "" : status.state_text + stillText(status));
   const elsewhere = (one) => known.moves.some(({ id }) => concerns(one, id)); // with the event, on top
-  $("reasons").replaceChildren(...[...status.reasons, ...status.notes].filter((one) => !elsewhere(one)).map(condition));
+  $("reasons").replaceChildren(...conditions.filter((one) => !elsewhere(one)).map(condition));
   fillRows("workers", status.workers.map((w) => [
     w.name, judged(waits(w, status) ? "waiting for the camera" : w.state), fixed(w.heartbeat_age_s, 0, " s ago"), w.last_error ? `${w.restarts} (${w.last_error})` : String(w.restarts),
   ]), "No worker has started.");
@@ -91,6 +94,13 @@ async function refreshPicture() {
   const sun = await ask(`/v1/sun?at=${encodeURIComponent(time)}${chosen}`).catch(() => null);
   known.sunInPicture = { time, by, sun };
   showSun();
+}
+
+// What a service that is not serving does all the same.
+function stillText({ state, calibration, camera }) {
+  if (state !== "not_serving") return "";
+  const frames = camera?.connected === false ? "; no new frames come" : "";
+  return calibration ? `${frames}; directions are answered with the last calibration` : frames;
 }
 
 // The newest clear day and by how much the camera's pose was off on it, where the record is known.
@@ -161,10 +171,10 @@ function addFact(facts, name, value) {
 async function refreshSky() {
   const sun = await ask("/v1/sun");
   known.sun = sun;
-  if (sun.calibration !== known.calibration || sun.time.slice(0, 10) !== known.date) {
+  if (sun.calibration !== known.calibration || sun.time.slice(0, 13) !== known.hour) {
     known.overlay = await ask("/v1/overlay");
     known.calibration = sun.calibration;
-    known.date = sun.time.slice(0, 10);
+    known.hour = sun.time.slice(0, 13);
     known.uncertainty = sun.calibration ? await ask("/v1/uncertainty") : null;
     drawSigma(known.uncertainty, known.overlay, known.status?.image_size);
     refresh(refreshStatus);

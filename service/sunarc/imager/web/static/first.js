@@ -32,7 +32,7 @@ export function drawFirst({ status, points, residualsBy, counts, calibrations, o
     North: ofNorth(status, pose, sightings.length),
     "First full fit": ofFit(status, sightings, today, site),
   });
-  $("first-checks").replaceChildren(...checks(status, sun, site).map(([good, text]) => {
+  $("first-checks").replaceChildren(...checks(status, sun, site, sightings.length > 0).map(([good, text]) => {
     const item = node("li", "", good ? "good" : "warn");
     const sign = node("span", good === null ? "?" : good ? "✓" : "!");
     if (good === null) item.className = "";
@@ -121,16 +121,17 @@ function ofFit(status, sightings, today, site) {
 }
 
 // What a person can compare, with ✓ or ! where the service knows.
-function checks(status, sun, site) {
+function checks(status, sun, site, isMarked) {
   const { clock, camera } = status;
-  const list = [[camera?.connected ?? false, camera?.connected ? `camera: ${[camera.model, camera.serial].filter(Boolean).join(", ") || "connected"}` : "camera: not connected"]];
+  const list = [[camera?.connected ?? null, camera?.connected ? `camera: ${[camera.model, camera.serial].filter(Boolean).join(", ") || "connected"}` : camera ? "camera: not connected" : "camera: not known yet"]];
   const synchronised = clock?.synchronised ?? null;
   list.push([synchronised, synchronised ? `clock: synchronised, within ${telling(clock.max_error_s)} s` : synchronised === null ? "clock: synchronisation unknown" : "clock: not synchronised; an error of 4 minutes turns north by 1° or more"]);
   if (site && sun) {
     const up = sun.apparent_zenith < 90;
     list.push([null, `clock and site: at ${degrees(site.latitude, "N", "S")}, ${degrees(site.longitude, "E", "W")} the sun is now ${up ? `${fixed(90 - sun.apparent_zenith, 0, "°")} above the horizon in the ${compassPoint(sun.azimuth)}` : "below the horizon"}: compare with the sky`]);
   }
-  list.push([null, "image: the mark is on the sun, not on a reflection or a lamp; the horizon is visible all round"]);
+  const mark = isMarked ? "the mark is on the sun, not on a reflection or a lamp; " : "";
+  if (status.last_frame_at) list.push([null, `image: ${mark}the horizon is visible all round`]);
   const refused = status.reasons.find((reason) => reason.code === "first_pose_refused");
   list.push(refused ? [false, `mounting: ${refused.text}; ${refused.remedy}`] : [finding(status, OF_FEW) ? true : null, finding(status, OF_FEW) ? "mounting: not mirrored, and only one azimuth of north fits; compare the top of the image with a map" : "mounting: the camera is level, its image not mirrored (or calibration.mirrored says so)"]);
   return list;

@@ -3,6 +3,7 @@ import { acknowledge, askImage } from "./ask.js";
 import { $, node, write, zoned } from "./draw.js";
 
 const SIDES = ["before", "after"];
+const TOKEN = "Token: the line in the file that api.token_file names (token in the state folder).";
 
 export function drawMoves(events, status, done) {
   const zone = status?.timezone;
@@ -60,13 +61,14 @@ async function askPicture(figure, event, zone) {
 function form(event, done) {
   const made = node("form", "", "fields");
   const [token, reason] = [field(made, "Token", "password"), field(made, "Reason", "text")];
+  token.title = TOKEN;
   token.required = true;
   token.autocomplete = "off";
   reason.placeholder = "seen";
   reason.maxLength = 500;
   const said = node("span", "", "bad");
   said.setAttribute("role", "status");
-  made.append(node("button", "Acknowledge"), said);
+  made.append(node("button", "Acknowledge"), said, node("small", TOKEN));
   made.addEventListener("submit", async (submitted) => {
     submitted.preventDefault();
     const problem = await acknowledge(event.id, token.value.trim(), reason.value.trim()).catch(() => "the service does not answer");

@@ -11,11 +11,15 @@ from pathlib import Path
 
 from sunarc.common.errors import InputError, OutsideError
 from sunarc.common.findings import Finding
+from sunarc.common.messages import significant
 from sunarc.imager.archive.archive import CameraArchive
 from sunarc.imager.archive.move_pictures import MovePictures
 from sunarc.imager.archive.values import CAMERA_CHANGES, Event
 from sunarc.imager.runtime.status import Reason, StatusRegistry
 from sunarc.imager.workers.calibrating.provisional_pose import is_provisional
+from sunarc.optics.camera import Camera
+from sunarc.optics.forward import distorted_radius, radius_slope
+from sunarc.optics.inverse import largest_angle
 
 _log = logging.getLogger(__name__)
 
@@ -103,7 +107,7 @@ class MoveConditions:
         if event.time in pose.closed:
             return None
         if pose.fitted_from is None or pose.fitted_from < event.time:
-            return move_condition(code, event, since=pose.words)
+            return move_condition(code, event, since=pose.words + _error_text(event, pose.served))
         return move_condition(code + _FITTED, event) if event.to_acknowledge else None
 
     def _get_pose_state(self, earliest: datetime | None) -> _PoseState:
@@ -123,7 +127,7 @@ class MoveConditions:
             return _PoseState(None, _NO_POSE, closed)
         if is_provisional(model):
             return _PoseState(None, _PROVISIONAL, closed)
-        return _PoseState(present.get(record.pose_epoch or "", record.valid_from), _FORMER, closed)
+        return _PoseState(present.get(record.pose_epoch or "", record.valid_from), _FORMER, closed, model.camera)
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,11 +139,13 @@ class _PoseState:
     fitted_from : beginning of the pose epoch of which a full fit is served; None where none is.
     words : what answers since a move that is later.
     closed : beginnings of the pose epochs that were closed as wrong.
+    served : camera of the full fit that is served; None without one.
     """
 
     fitted_from: datetime | None
     words: str
     closed: frozenset[datetime]
+    served: Camera | None = None
 
 
 def move_condition(code: str, event: Event, *, since: str = "") -> Reason:
@@ -180,6 +186,30 @@ def move_condition(code: str, event: Event, *, since: str = "") -> Reason:
         ),
     }
     return Reason.of(found[code], severity="note")
+
+
+def _error_text(event: Event, served: Camera | None) -> str:
+    """Return in words by how much an earlier calibration is wrong after a change of the lens; else nothing."""
+    if served is None or event.kind not in _LENS_WORDS:
+        return ""
+    percent = abs(_number_or_nan(event, "size"))
+    if event.kind != "refocus" or not percent > 0.0:
+        return " (its directions are those of the lens before)"
+    error_deg = largest_scale_error_deg(served, percent / 100.0)
+    return f" (its directions are wrong by up to {significant(error_deg, 1)}°, at the horizon)"
+
+
+def largest_scale_error_deg(camera: Camera, fraction: float) -> float:
+    """Return by how much directions are wrong, degrees, that are 90° from the axis, or at the edge of a narrower field.
+
+    Parameters
+    ----------
+    camera : its focal length is used after it has changed.
+    fraction : of the focal length, by which it has grown.
+    """
+    theta = min(math.pi / 2.0, largest_angle(camera))
+    radius, slope = distorted_radius(camera, theta), radius_slope(camera, theta)
+    return math.degrees(abs(fraction) * float(radius) / float(slope))
 
 
 def _number_or_nan(event: Event, name: str) -> float:
