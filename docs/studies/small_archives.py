@@ -27,7 +27,9 @@ from archives import DAY_S, HOUR_S, Archive, Spell, changes_said, errors_over_sk
 from sunarc.archives.fit import CameraSightings, final_analysis, first_analysis
 from sunarc.archives.states import ArchiveCamera
 from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
+from sunarc.optics.pose import rotation_matrix, rotation_vector
 from sunarc.sky.site import Site
 
 SIZE = 960
@@ -64,15 +66,42 @@ def _when(rng: np.random.Generator, noon: float, days: float) -> float:
     )
 
 
-def _lean(rng: np.random.Generator, lens: Lens, noon: float, days: float, degrees: float = 1.0) -> list[Spell]:
+def _turning(
+    rng: np.random.Generator, lens: Lens, noon: float, days: float, progress: Callable[[FloatArray], FloatArray]
+) -> list[Spell]:
+    """Return a camera that turns about any axis by some degrees, by the share of the archive that is past."""
     axis = rng.normal(size=3)
-    axis *= np.radians(degrees) / np.linalg.norm(axis)
+    axis *= np.radians(1.0) / np.linalg.norm(axis)
     steps = np.arange(1, int(4 * days))
+    turned = [replace(lens, pose=turn(axis * share) @ lens.pose) for share in progress(steps / steps.size).tolist()]
     return [
-        Spell(
-            noon - 0.5 * DAY_S + 0.25 * DAY_S * n, replace(lens, pose=turn(axis * n / steps.size) @ lens.pose), 0.0, ""
-        )
-        for n in steps.tolist()
+        Spell(noon - 0.5 * DAY_S + 0.25 * DAY_S * n, one, 0.0, "")
+        for n, one in zip(steps.tolist(), turned, strict=True)
+    ]
+
+
+def _lean(rng: np.random.Generator, lens: Lens, noon: float, days: float) -> list[Spell]:
+    return _turning(rng, lens, noon, days, lambda past: past)
+
+
+def _small_lean(rng: np.random.Generator, lens: Lens, noon: float, days: float) -> list[Spell]:
+    return _turning(rng, lens, noon, days, lambda past: 0.3 * past)
+
+
+def _late_lean(rng: np.random.Generator, lens: Lens, noon: float, days: float) -> list[Spell]:
+    return _turning(rng, lens, noon, days, lambda past: np.maximum(past - 0.6, 0.0) / 0.4)
+
+
+def _to_and_fro(rng: np.random.Generator, lens: Lens, noon: float, days: float) -> list[Spell]:
+    return _turning(rng, lens, noon, days, lambda past: 0.5 * np.sin(2.0 * np.pi * past))
+
+
+def _focus_drifts(_rng: np.random.Generator, lens: Lens, noon: float, days: float) -> list[Spell]:
+    steps = np.arange(1, int(4 * days))
+    begun = noon + DAY_S * (0.25 * steps - 0.5)
+    return [
+        Spell(at, refocused(lens, 0.003 * n / steps.size), 0.0, "")
+        for at, n in zip(begun.tolist(), steps.tolist(), strict=True)
     ]
 
 
@@ -109,11 +138,11 @@ def _short(rng: np.random.Generator, lens: Lens, noon: float, _days: float) -> l
 
 
 def _summer(rng: np.random.Generator, lens: Lens, noon: float, days: float) -> list[Spell]:
-    at = noon - 0.3 * DAY_S + DAY_S * int(rng.integers(int(days) // 3, 2 * int(days) // 3))
+    at = noon - 0.5 * DAY_S + 3.0 * DAY_S * int(rng.integers(int(days) // 9, 2 * int(days) // 9))  # a day with suns
     leaning = _lean(rng, lens, noon, days)
-    late = [one._replace(ahead_s=HOUR_S) for one in leaning if one.since >= at]
+    late = [one._replace(ahead_s=HOUR_S) for one in leaning if one.since > at + 0.4 * DAY_S]
     early = [one for one in leaning if one.since < at]
-    return [*early, Spell(at, early[-1].lens, HOUR_S, "clock"), *late]
+    return [*early, Spell(at, early[-1].lens, HOUR_S, "clock"), *late]  # till noon, so that it has suns
 
 
 def _still(_rng: np.random.Generator, _lens: Lens, _noon: float, _days: float) -> list[Spell]:
@@ -136,6 +165,12 @@ CASES = {
     "ten days, still": Case(10, 1, 40, 0.4, _still),
     "30 days of 8, still": Case(30, 1, 8, 0.2, _still),
     "30 days of 8, bump .5": Case(30, 1, 8, 0.2, _half_degree),
+    "90 days, still": Case(90, 3, 40, 0.3, _still),
+    "90 days, bump .5": Case(90, 3, 40, 0.3, _half_degree),
+    "lean of .3 in 90 days": Case(90, 3, 40, 0.3, _small_lean),
+    "lean that begins": Case(90, 3, 40, 0.3, _late_lean),
+    "to and fro in 90 days": Case(90, 3, 40, 0.3, _to_and_fro),
+    "focus drifts in 90 days": Case(90, 3, 40, 0.3, _focus_drifts),
 }
 
 
@@ -184,6 +219,23 @@ def _day(rng: np.random.Generator, place: Place, noon: float, case: Case) -> tup
     return times[~hidden], displaced[~hidden], sigma[~hidden]
 
 
+def _errors(archive: Archive, numbers: NDArray[np.int64], calibration: Calibration) -> float:
+    """Return the worst error over the stated one in the cameras of some spells, each at its time."""
+    turning = calibration.evidence.turning
+    if turning is None:
+        return errors_over_sky(archive, numbers, calibration)[2]
+    worst = 0.0
+    for number in numbers.tolist():
+        since = max(archive.spells[number].since, float(archive.points.unix_s[0]))
+        days = (since - turning.at_unix_s) / DAY_S
+        turned = turn(np.radians(days * np.array(turning.deg_per_day)))  # of the camera, against the sky
+        pose = calibration.camera.rotation_cam_enu
+        rotation = rotation_vector(rotation_matrix(pose) @ turned.T)
+        then = replace(calibration, camera=replace(calibration.camera, rotation_cam_enu=rotation))
+        worst = max(worst, errors_over_sky(archive, np.array([number]), then)[2])
+    return worst
+
+
 def judged(archive: Archive) -> Counter[str]:
     """Return the results of the analysis of an archive, against the truth."""
     place = archive.place
@@ -195,12 +247,14 @@ def judged(archive: Archive) -> Counter[str]:
     final = final_analysis(given._replace(states=rough.states))
     said = changes_said(archive, final)
     leans = len(archive.spells) > 5
+    noted = [final.fitted[final.states[one.state].pose].calibration.evidence.turning for one in final.epochs]
+    said["with a rate"] += sum(one is not None for one in noted)
     for epoch in final.epochs:
         calibration = final.fitted[final.states[epoch.state].pose].calibration
         held = (archive.points.unix_s >= epoch.start_unix_s) & (archive.points.unix_s <= epoch.end_unix_s)
         numbers: NDArray[np.int64] = np.unique(archive.of_spell[held])
         if calibration.verdict.accepted:
-            ratio = errors_over_sky(archive, numbers, calibration)[2] / _ROOT_95
+            ratio = _errors(archive, numbers, calibration) / _ROOT_95
             said["accepted, right" if ratio <= _MOST_OF_95 else f"WRONG {ratio:.1f}"] += 1
         else:
             right = numbers.size == 1 and not leans
