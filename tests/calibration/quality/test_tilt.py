@@ -11,7 +11,7 @@ from scipy.integrate import dblquad
 from tests.fixtures.calibration import ideal_camera
 
 from sunarc.calibration.quality import tilt as module
-from sunarc.calibration.quality.tilt import tilt_question
+from sunarc.calibration.quality.tilt import clock_behind_turn, tilt_question
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project
 from sunarc.optics.pose import PoseAngles, rotation_from_pose_angles, rotation_matrix, rotation_vector
@@ -105,3 +105,31 @@ def test_the_mounts_density_is_one_over_the_sphere() -> None:
 
     total, _ = dblquad(density, 0.0, math.pi, 0.0, 2.0 * math.pi, epsabs=1e-6)
     assert total == pytest.approx(1.0, abs=0.01)
+
+
+@pytest.mark.parametrize("hours", [1.0, -1.0, 2.0])
+def test_an_hour_of_the_clock_and_a_small_turn_are_no_turn_about_the_pole(hours: float) -> None:
+    rng = np.random.default_rng(5)
+    level = mounted(1.5, 70.0)
+    after = fitted(level, SITE, SITE, hours=hours)
+    for turn_deg in (0.0, 0.3, 1.0):
+        found = clock_behind_turn(_turned(level, turn_deg, rng), after, SITE)
+        assert found.hours == hours
+        assert found.odds > 1.0
+
+
+def test_a_turn_about_any_axis_is_no_hour_of_the_clock() -> None:
+    rng = np.random.default_rng(6)
+    level = mounted(1.5, 70.0)
+    odds = np.array(
+        [clock_behind_turn(level, _turned(level, rng.uniform(0.1, 40.0), rng), SITE).odds for _ in range(1000)]
+    )
+    assert np.mean(odds > 1.0) < 0.005
+    assert np.mean(odds > 0.1) < 0.03
+
+
+def _turned(camera: Camera, turn_deg: float, rng: np.random.Generator) -> Camera:
+    """Return a camera turned about an axis of chance."""
+    axis = rng.normal(size=3)
+    turn = rotation_matrix(math.radians(turn_deg) * axis / np.linalg.norm(axis))
+    return replace(camera, rotation_cam_enu=rotation_vector(turn @ rotation_matrix(camera.rotation_cam_enu)))

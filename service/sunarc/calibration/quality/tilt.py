@@ -18,9 +18,9 @@ from sunarc.common.array_types import FloatArray
 from sunarc.common.errors import InputError
 from sunarc.common.findings import Finding
 from sunarc.optics.camera import Camera
-from sunarc.optics.pose import rotation_matrix
+from sunarc.optics.pose import rotation_matrix, rotation_vector
 from sunarc.sky.directions import angles_from_direction, wrapped_deg
-from sunarc.sky.site import Site
+from sunarc.sky.site import Site, pole_enu
 
 LEVEL_DEG = 5.0
 """degrees; a camera tilted by more is asked about. A mount that was levelled by hand and eye is level to 2."""
@@ -43,6 +43,8 @@ amount. Chosen, not measured."""
 _CLOCK_DEG = 7.5
 """Mean turn of the sky by a clock that is off: half an hour."""
 _NO_MISTAKE = 1.0 - _EXCHANGED - 3.0 * _WRONG_SIGN - _WRONG_ZONE - _WRONG_CLOCK - 3.0 * _WRONG_COORDINATE
+_LEAST_TURN_DEG = 0.1
+"""degrees; smaller turns than two fits of a camera distinguish are alike."""
 _LEAST_COSINE = 0.02
 """Of a latitude: 89 degrees."""
 _STEP_DEG = 5.0
@@ -144,10 +146,9 @@ def _explanations(level: Place, stated: Place) -> Iterator[_Explanation]:
     yield _explain_by_place("camera_tilted_by_latitude", _WRONG_SIGN, Place(-latitude, longitude), level)
     yield _explain_by_place("camera_tilted_by_longitude", _WRONG_SIGN, Place(latitude, -longitude), level)
     yield _explain_by_place("camera_tilted", _WRONG_SIGN, Place(-latitude, -longitude), level)
-    shares = {hours: 1.0 / abs(hours) for hours in range(-_LARGEST_ZONE_H, _LARGEST_ZONE_H + 1) if hours}
-    for hours, share in shares.items():
+    for hours, share in _zone_shares().items():
         place = Place(latitude, float(wrapped_deg(longitude - _DEG_PER_H * hours)))
-        yield _explain_by_place("camera_tilted_by_clock", _WRONG_ZONE * share / sum(shares.values()), place, level)
+        yield _explain_by_place("camera_tilted_by_clock", _WRONG_ZONE * share, place, level)
     turn = abs(float(wrapped_deg(level.longitude - longitude)))
     by_clock = _WRONG_CLOCK * math.exp(-turn / _CLOCK_DEG) / (2.0 * _CLOCK_DEG)
     yield _explain_along_line("camera_tilted_by_clock", by_clock, Place(latitude, level.longitude), level)
@@ -172,6 +173,46 @@ def _explain_along_line(code: str, per_deg: float, place: Place, level: Place) -
     off, sigma = distance_deg(place, level), math.radians(_LEVELLED_DEG)
     density = math.degrees(per_deg) * math.exp(-0.5 * (off / _LEVELLED_DEG) ** 2) / (math.sqrt(2.0 * math.pi) * sigma)
     return _Explanation(code, density if off <= LEVEL_DEG else 0.0, place)
+
+
+class ClockBehindTurn(NamedTuple):
+    """Whole hours by which a clock went ahead where a camera seems turned, and their odds against a real turn."""
+
+    hours: int
+    odds: float
+
+
+def clock_behind_turn(before: Camera, after: Camera, site: Site) -> ClockBehindTurn:
+    """Return the change of the clock by whole hours that may be behind the turn of a camera between two fits.
+
+    The camera of a clock that is ahead by an hour seems turned by 15 degrees about the celestial pole. Real turns have
+    any axis, and as many are of each order of size: their density falls with the cube of the angle.
+
+    Parameters
+    ----------
+    before, after : cameras that were fitted to sightings by one clock.
+    site : where they stand.
+    """
+    turned = rotation_matrix(before.rotation_cam_enu).T @ rotation_matrix(after.rotation_cam_enu)
+    seen_deg = _turn_deg(turned)
+    shares = _zone_shares()
+    left_deg = {
+        hours: _turn_deg(rotation_matrix(-math.radians(_DEG_PER_H * hours) * pole_enu(site)) @ turned)
+        for hours in shares
+    }
+    odds = {hours: _WRONG_ZONE * shares[hours] * (seen_deg / left_deg[hours]) ** 3 for hours in shares}
+    best = max(odds, key=lambda hours: odds[hours])
+    return ClockBehindTurn(best, odds[best])
+
+
+def _turn_deg(rotation: FloatArray) -> float:
+    return max(math.degrees(float(np.linalg.norm(rotation_vector(rotation)))), _LEAST_TURN_DEG)
+
+
+def _zone_shares() -> dict[int, float]:
+    """Return the shares of wrong zones by their hours, the rarer the more."""
+    shares = {hours: 1.0 / abs(hours) for hours in range(-_LARGEST_ZONE_H, _LARGEST_ZONE_H + 1) if hours}
+    return {hours: share / sum(shares.values()) for hours, share in shares.items()}
 
 
 def mount_density(axis: FloatArray, *, limit_deg: float | None = None) -> FloatArray:
