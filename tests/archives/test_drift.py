@@ -1,25 +1,34 @@
-"""An epoch whose mount or clock drifts is refused, with what drifts and by how much; one that stands still is not.
+"""An epoch whose clock drifts is refused with its rate; of a camera that leans a time's pose and the rate are stated.
 
 The sightings are made by a formula of the projection that is written here, and by nothing of the simulator.
 """
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from pathlib import Path
 from typing import NamedTuple
 
+import jsonschema_rs
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from tests.finding_codes import codes
 
 from sunarc.archives.fit import CameraSightings, Final, final_analysis, first_analysis
+from sunarc.archives.leaning import leaning_fit, seen_directions
 from sunarc.archives.states import ArchiveCamera
 from sunarc.calibration.acceptance import apart_sigmas
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.changes.epoch_changes import drift_finding, drift_within, estimate_daily_noise, spread_deg
 from sunarc.common.array_types import FloatArray
+from sunarc.common.utc import utc_time
+from sunarc.formats.calibration_document import from_document, to_document
+from sunarc.optics.forward import project
 from sunarc.sky.site import Site
 from sunarc.sky.sun import sun_angles
 
@@ -39,6 +48,7 @@ class Drift(NamedTuple):
     deg: float = 0.0
     clock_s: float = 0.0
     at_once: bool = False
+    until: float = np.inf
 
 
 HIDDEN = Drift(NORTH, deg=0.012)
@@ -51,7 +61,7 @@ def archive(seed: int, drift: Drift, *, per_day: int = 14, sigma_px: float = 0.4
     times = np.sort((noon[:, None] + rng.uniform(-24_000.0, 24_000.0, (DAYS, per_day))).ravel())
     times = times[sun_angles(times, SITE).apparent_zenith < 84.0]
     angles, days = sun_angles(times, SITE), (times - noon[0]) / 86_400.0
-    days = np.where(days > 0.5 * DAYS, 1.0, 0.0) if drift.at_once else days
+    days = np.where(days > 0.5 * DAYS, 1.0, 0.0) if drift.at_once else np.minimum(days, drift.until)
     zenith, azimuth = np.radians(angles.apparent_zenith), np.radians(angles.azimuth)
     sun = np.stack([np.sin(zenith) * np.sin(azimuth), np.sin(zenith) * np.cos(azimuth), np.cos(zenith)], axis=-1)
     east, north, up = Rotation.from_rotvec(np.radians(-drift.deg * days)[:, None] * drift.axis).apply(sun).T
@@ -69,21 +79,91 @@ def analysed(points: Sightings) -> Final:
     return final_analysis(given._replace(states=first_analysis(given).states))
 
 
-@pytest.mark.parametrize(
-    ("code", "key", "true", "drift"),
-    [
-        ("mount_drifts", "turn_deg", 0.05 * (DAYS - 1), Drift(NORTH, deg=0.05)),
-        ("clock_drifts_on", "s_per_day", -25.0, Drift(clock_s=-25.0)),
-    ],
-)
-def test_an_epoch_that_drifts_is_refused_with_what_drifts(code: str, key: str, true: float, drift: Drift) -> None:
+def calibrated(final: Final, points: Sightings) -> Calibration:
+    """Return the calibration of the one epoch."""
+    assert [(one.first, one.last) for one in final.epochs] == [(0, len(points) - 1)]
+    return final.fitted[final.states[final.epochs[0].state].pose].calibration
+
+
+def test_an_epoch_whose_clock_drifts_is_refused_with_its_rate() -> None:
+    points = archive(0, Drift(clock_s=-25.0))
+    verdict = calibrated(analysed(points), points).verdict
+    assert not verdict.accepted
+    assert verdict.findings[0].code == "clock_drifts_on"
+    assert float(verdict.findings[0].data["s_per_day"]) == pytest.approx(-25.0, rel=0.3)
+
+
+def test_a_camera_that_leans_has_the_pose_of_a_time_and_its_rate() -> None:
+    drift = Drift(NORTH, deg=0.05)
+    points = archive(0, drift)
+    found = calibrated(analysed(points), points)
+    turning = found.evidence.turning
+    assert found.verdict.accepted
+    assert "mount_leans" in codes(found.verdict.findings)
+    assert turning is not None
+    assert np.all(np.abs(np.array(turning.deg_per_day) - 0.05 * NORTH) < 3.0 * np.array(turning.sigma_deg_per_day))
+    assert max(turning.sigma_deg_per_day) < 0.01
+    rng = np.random.default_rng(1)
+    directions = rng.normal(size=(200, 3))
+    directions[:, 2] = np.abs(directions[:, 2]) + 0.2
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    noon = START + 43_200.0 - SITE.longitude * 240.0
+    for unix_s in (points.unix_s[0], turning.at_unix_s, points.unix_s[-1]):
+        days = (unix_s - noon) / 86_400.0
+        east, north, up = Rotation.from_rotvec(np.radians(-0.05 * days) * NORTH).apply(directions).T
+        radius = FOCAL * np.arctan2(np.hypot(east, north), up) / np.hypot(east, north)
+        true = np.stack([322.0 + radius * east, 297.0 - radius * north], axis=-1)
+        off = project(found.camera, seen_directions(found, directions, np.full(200, unix_s))) - true
+        off_deg = np.degrees(np.linalg.norm(off, axis=1) / FOCAL)
+        assert float(np.sqrt(np.mean(off_deg**2))) < 2.0 * found.sky_rms_deg
+    day = utc_time(START)
+    written = to_document(
+        found,
+        id="one",
+        camera="roof",
+        state="candidate",
+        created_at=day,
+        valid_from=day,
+        valid_until=None,
+        pose_epoch="001",
+        software_version="0.1.0",
+    )
+    assert from_document(json.loads(json.dumps(written))).evidence.turning == turning
+    json_schema = json.loads((Path(__file__).parents[3] / "docs" / "calibration.schema.json").read_text())
+    jsonschema_rs.validator_for(json_schema).validate(written)
+
+
+def test_the_clock_of_summer_time_is_found_while_the_camera_leans() -> None:
+    drift = Drift(NORTH, deg=0.1)
+    points = archive(0, drift)
+    late = points.unix_s > START + 7.0 * 86_400.0
+    final = analysed(replace(points, unix_s=points.unix_s + np.where(late, 3600.0, 0.0)))
+    assert [(one.cause, one.first) for one in final.epochs] == [("start", 0), ("clock", int(np.argmax(late)))]
+    assert [final.states[one.state].clock_offset_s for one in final.epochs] == [0.0, 3600.0]
+    for epoch in final.epochs:
+        found = final.fitted[final.states[epoch.state].pose].calibration
+        assert found.verdict.accepted
+        assert found.evidence.turning is not None
+        off = np.array(found.evidence.turning.deg_per_day) - 0.1 * NORTH
+        assert np.all(np.abs(off) < 3.0 * np.array(found.evidence.turning.sigma_deg_per_day))
+
+
+@pytest.mark.parametrize("drift", [Drift(NORTH, deg=0.3, until=0.4 * DAYS), Drift(NORTH, deg=0.3, at_once=True)])
+def test_a_turn_that_is_not_steady_is_refused(drift: Drift) -> None:
     points = archive(0, drift)
     final = analysed(points)
-    assert [(one.first, one.last) for one in final.epochs] == [(0, len(points) - 1)]
-    verdict = final.fitted[final.states[final.epochs[0].state].pose].calibration.verdict
-    assert not verdict.accepted
-    assert verdict.findings[0].code == code
-    assert float(verdict.findings[0].data[key]) == pytest.approx(true, rel=0.3)
+    fits = [final.fitted[final.states[one.state].pose].calibration for one in final.epochs]
+    assert not any(one.verdict.accepted and one.evidence.turning is not None for one in fits)
+
+
+def test_a_turn_of_few_days_is_no_lean() -> None:
+    points = archive(0, Drift(NORTH, deg=0.05))
+    fit = calibrate(points, site=SITE, image_size=SIZE, options=OPTIONS)
+    noise, camera = estimate_daily_noise(points, SITE), ArchiveCamera(SITE, SIZE, OPTIONS)
+    some = points.select(points.unix_s < START + 4.0 * 86_400.0)
+    drift = drift_within(some, fit.camera, SITE, noise[: len(some)])
+    assert drift is not None
+    assert leaning_fit(some, camera, noise[: len(some)], drift, fit.camera) is None
 
 
 @pytest.mark.parametrize("seed", [0, 3])

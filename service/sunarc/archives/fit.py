@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import sunarc
+from sunarc.archives.leaning import Leaning, leaning_fit
 from sunarc.archives.states import (
     ArchiveCamera,
     Epoch,
@@ -34,7 +35,7 @@ from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.pose import estimate_pose
 from sunarc.calibration.projection_choice import options_as_served
 from sunarc.calibration.quality.fit_checks import JudgedFit, is_tilt_shown
-from sunarc.calibration.quality.tilt import tilt_question
+from sunarc.calibration.quality.tilt import clock_behind_turn, tilt_question
 from sunarc.calibration.quality.widening import add_pose_spread, scale_errors
 from sunarc.calibration.selection import pick_surest_in_epochs, select_sightings
 from sunarc.calibration.verdict import (
@@ -48,6 +49,7 @@ from sunarc.calibration.verdict import (
     provisional,
 )
 from sunarc.changes.epoch_changes import (
+    EpochCause,
     agreeing_days,
     change_within,
     drift_finding,
@@ -247,7 +249,7 @@ def choose_better_calibrations(
 
 def _is_worse(both: FittedPose, one: FittedPose) -> bool:
     accepted = one.calibration.verdict.accepted and not both.calibration.verdict.accepted
-    return accepted or _drifts(one.calibration)
+    return accepted or _drifts(one.calibration) or one.calibration.evidence.turning is not None
 
 
 def _as_steady(both: FittedPose, one: FittedPose) -> FittedPose:
@@ -386,12 +388,16 @@ def final_analysis(given: CameraSightings) -> Final:
     refined = [_refined(state, fitted, of_state, camera) for state, of_state in held]
     epochs, path = find_epochs(points, refined, camera)
     noise = estimate_daily_noise(points, camera.site)
-    found = _without_drifts(Final(tuple(refined), tuple(epochs), path, fitted), given, noise)
+    found, given = _without_drifts(Final(tuple(refined), tuple(epochs), path, fitted), given, noise)
     found = _held_to_parts(_allowing_for_drift(_held_to_days(found, given, noise), given, noise), given)
     found = _held_to_level(found)
-    return found._replace(epochs=surely_held(found.epochs, points, found.states, camera))
+    return found._replace(epochs=surely_held(found.epochs, given.points, found.states, camera))
 
 
+_SUMMER_S = 3600.0
+"""Step of a clock that follows summer time."""
+_NEAR_HOUR_S = 600.0
+"""Error of such a step where a lean of some degrees is about the celestial pole."""
 _DRIFTS = {"mount_drifts", "clock_drifts_on"}
 
 
@@ -399,34 +405,89 @@ def _drifts(calibration: Calibration) -> bool:
     return any(one.code in _DRIFTS for one in calibration.verdict.findings)
 
 
-def _find_drift(final: Final, given: CameraSightings, noise: FloatArray, run: Sequence[Epoch]) -> PoseChange | None:
-    """Return the drift that the sightings of consecutive epochs show, about the camera of the longest of them."""
-    state = final.states[_longest(run).state]
-    rows = slice(run[0].first, run[-1].last + 1)
-    seen = given.camera.shifted(given.points.select(rows), state.clock_offset_s)
-    changes = [(one.first - run[0].first, one.cause) for one in run[1:]]
-    return drift_within(seen, state.calibration.camera, given.camera.site, noise[rows], changes=changes)
+class _Run(NamedTuple):
+    """Consecutive epochs: rows, sightings by a clock that is ahead by offsets (n,), and the changes within them."""
+
+    rows: slice
+    seen: Sightings
+    offsets_s: FloatArray
+    camera: Camera
+    changes: list[tuple[int, EpochCause]]
+
+    def drift(self, given: CameraSightings, noise: FloatArray) -> PoseChange | None:
+        """Return the drift that the sightings show about the camera of the longest epoch."""
+        site = given.camera.site
+        return drift_within(self.seen, self.camera, site, noise[self.rows], changes=self.changes)
 
 
-def _without_drifts(final: Final, given: CameraSightings, noise: FloatArray) -> Final:
-    """Return epochs, those in which mount or clock drifted taken together and refused: no camera holds for them."""
+def _make_run(final: Final, given: CameraSightings, epochs: Sequence[Epoch], *, hourly: bool = False) -> _Run | None:
+    """Return consecutive epochs as a run by the clock of the longest.
+
+    With `hourly` clocks, which differ by whole hours, the run is by these and without their changes; None where clocks
+    are alike, or not near whole hours.
+    """
+    rows, state = slice(epochs[0].first, epochs[-1].last + 1), final.states[_longest(epochs).state]
+    clocks = np.array([one.clock_offset_s for one in final.states])[final.path[rows]]
+    right_s = float(clocks[np.argmin(np.abs(clocks))]) if hourly else state.clock_offset_s
+    hours = np.rint((clocks - right_s) / _SUMMER_S)
+    if hourly and (not np.any(hours) or np.max(np.abs(clocks - right_s - _SUMMER_S * hours)) > _NEAR_HOUR_S):
+        return None
+    offsets = right_s + (_SUMMER_S * hours if hourly else np.zeros(hours.size))
+    seen = replace(given.points.select(rows), unix_s=given.points.unix_s[rows] - offsets)
+    changes = [(one.first - epochs[0].first, one.cause) for one in epochs[1:]]
+    changes = [one for one in changes if not (hourly and one[1] == "clock")]
+    return _Run(rows, seen, offsets, state.calibration.camera, changes)
+
+
+def _drifting_run(
+    final: Final, given: CameraSightings, noise: FloatArray, epochs: Sequence[Epoch]
+) -> tuple[_Run, Finding, Leaning | None] | None:
+    """Return consecutive epochs with the drift that makes them those of no one camera, and the steady turn that it is.
+
+    A lean makes steps of a clock seem to be of no whole hours: those that are near are whole with a steady turn alone.
+    """
+    for hourly in (False, True):
+        run = _make_run(final, given, epochs, hourly=hourly)
+        drift = None if run is None else run.drift(given, noise)
+        finding = None if drift is None else drift_finding(drift)
+        if run is None or drift is None or finding is None:
+            continue
+        steady = drift.cause == "slow_turn"
+        leaning = leaning_fit(run.seen, given.camera, noise[run.rows], drift, run.camera) if steady else None
+        if leaning is not None or not hourly:
+            return run, finding, leaning
+    return None
+
+
+def _without_drifts(final: Final, given: CameraSightings, noise: FloatArray) -> tuple[Final, CameraSightings]:
+    """Return epochs, those in which mount or clock drifted taken together: refused, or a camera with a steady turn.
+
+    The sightings of a steady turn are returned as the camera would have had them without it.
+    """
     epochs = final.epochs[:_MOST_CHANGES]
     states, path, fitted = list(final.states), final.path.copy(), dict(final.fitted)
-    taken = set[int]()
+    pixels, taken = given.points.pixels.copy(), set[int]()
     for count in range(len(epochs), 0, -1):
         for begin in range(len(epochs) - count + 1):
-            run = epochs[begin : begin + count]
-            drift = None if taken & set(range(begin, begin + count)) else _find_drift(final, given, noise, run)
-            finding = None if drift is None else drift_finding(drift)
-            if finding is None:
+            members = epochs[begin : begin + count]
+            found = None if taken & set(range(begin, begin + count)) else _drifting_run(final, given, noise, members)
+            if found is None:
                 continue
+            run, finding, leaning = found
             taken |= set(range(begin, begin + count))
-            longest = states[_longest(run).state]
+            new = states[_longest(members).state]
             pose = 1 + max(one.pose for one in states)
-            fitted[pose] = _refuse(fitted[longest.pose], finding)
-            path[run[0].first : run[-1].last + 1] = len(states)
-            states.append(longest._replace(pose=pose))
-    return _finish_epochs(final, Final(tuple(states), (), path, fitted), given.points)
+            fitted[pose] = _refuse(fitted[new.pose], finding)
+            new = new._replace(pose=pose)
+            if leaning is not None:
+                pixels[run.rows] = leaning.pixels
+                fitted[pose] = FittedPose(leaning.calibration, run.rows.start + leaning.rows)
+                new = new._replace(calibration=leaning.calibration)
+            for offset_s in np.unique(run.offsets_s).tolist():
+                path[run.rows][run.offsets_s == offset_s] = len(states)
+                states.append(new._replace(clock_offset_s=offset_s))
+    upright = given._replace(points=replace(given.points, pixels=pixels))
+    return _finish_epochs(final, Final(tuple(states), (), path, fitted), given.points), upright
 
 
 def _longest(run: Sequence[Epoch]) -> Epoch:
@@ -438,10 +499,14 @@ def _refuse(fitted: FittedPose, *findings: Finding) -> FittedPose:
 
 
 def _finish_epochs(former: Final, final: Final, points: Sightings) -> Final:
-    """Return epochs by the states of sightings, with the causes of former ones."""
-    causes = {one.first: one.cause for one in former.epochs}
+    """Return epochs by the states of sightings, with the causes of former ones; of one pose the clock's."""
+    causes: dict[int, EpochCause] = {one.first: one.cause for one in former.epochs}
     epochs = split_epochs(final.path, final.states, points)
-    return final._replace(epochs=tuple(one._replace(cause=causes.get(one.first, "unexplained")) for one in epochs))
+    return final._replace(
+        epochs=tuple(
+            one if one.cause == "clock" else one._replace(cause=causes.get(one.first, "unexplained")) for one in epochs
+        )
+    )
 
 
 def _allowing_for_drift(final: Final, given: CameraSightings, noise: FloatArray) -> Final:
@@ -450,7 +515,8 @@ def _allowing_for_drift(final: Final, given: CameraSightings, noise: FloatArray)
     spread = {pose: np.zeros(3) for pose, one in fitted.items() if one.calibration.verdict.accepted}
     for epoch in final.epochs:
         pose = final.states[epoch.state].pose
-        drift = _find_drift(final, given, noise, [epoch]) if pose in spread else None
+        run = _make_run(final, given, [epoch]) if pose in spread else None
+        drift = None if run is None else run.drift(given, noise)
         if drift is None:
             continue
         spread[pose] = np.maximum(spread[pose], spread_deg(drift))
@@ -508,17 +574,24 @@ def _held_to(fitted: FittedPose, sigmas: float) -> FittedPose:
     return fitted
 
 
+_CLOCK_IN_DOUBT = 0.1
+"""Odds of a wrong clock from which on a tilted pose is not that of a camera that was level before."""
+
+
 def _held_to_level(final: Final) -> Final:
     """Return calibrations, those refused whose tilt is not stated, unless the camera stood level in another pose.
 
-    Site and clock are those of all poses.
+    The site is that of all poses, and so is the clock unless it may have gone ahead where the camera seems turned.
     """
     accepted = {pose: one for pose, one in final.fitted.items() if one.calibration.verdict.accepted}
     judged = {pose: JudgedFit(calibration=one.calibration) for pose, one in accepted.items()}
     asked = {pose: findings(ASKED, one) for pose, one in judged.items()}
     fitted = dict(final.fitted)
+    level = [one.calibration.camera for pose, one in accepted.items() if not asked[pose]]
     for pose, one in accepted.items():
-        if all(asked.values()):
+        site, seen = one.calibration.site, one.calibration.camera
+        by_clock = any(clock_behind_turn(camera, seen, site).odds > _CLOCK_IN_DOUBT for camera in level)
+        if asked[pose] and (by_clock or not level):
             fitted[pose] = _refuse(one, *asked[pose])
         else:
             said = reduce(add_finding, findings(SITE_ASSUMED, judged[pose]), one.calibration)

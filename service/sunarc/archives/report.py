@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 import sunarc
+from sunarc.archives.leaning import seen_directions
 from sunarc.archives.passes import FoundSun
 from sunarc.archives.results import CameraResult, Summary
 from sunarc.archives.states import Epoch, State
@@ -211,8 +212,14 @@ def _residuals(result: CameraResult) -> str:
 
 
 def _distance(state: State, unix_s: Any, pixels: Any, result: CameraResult) -> Any:  # noqa: ANN401 - arrays
-    directions = sun_directions(unix_s - state.clock_offset_s, result.camera.plan.site)
-    return np.nan_to_num(np.linalg.norm(pixels - project(state.calibration.camera, directions), axis=-1))
+    return np.nan_to_num(np.linalg.norm(pixels - _sun_pixels(state, unix_s, result), axis=-1))
+
+
+def _sun_pixels(state: State, unix_s: FloatArray, result: CameraResult) -> FloatArray:
+    """Return where a state predicts the sun at stated times, (n, 2) px."""
+    times = unix_s - state.clock_offset_s
+    seen = seen_directions(state.calibration, sun_directions(times, result.camera.plan.site), times)
+    return project(state.calibration.camera, seen)
 
 
 def _days(result: CameraResult) -> str:
@@ -252,8 +259,7 @@ def _figure(result: CameraResult, number: int, held: Epoch) -> str:
         return ""
     picture = _eight_bits(found)
     state = result.final.states[held.state]
-    track = image.unix_s - state.clock_offset_s + np.arange(-0.5 * DAY_S, 0.5 * DAY_S, _TRACK_S)
-    pixels = project(state.calibration.camera, sun_directions(track, result.camera.plan.site))
+    pixels = _sun_pixels(state, image.unix_s + np.arange(-0.5 * DAY_S, 0.5 * DAY_S, _TRACK_S), result)
     thickness = max(1, max(picture.shape[:2]) // 300)
     for x, y in pixels[np.all(np.isfinite(pixels), axis=1)].tolist():
         cv2.circle(picture, (round(x), round(y)), 2 * thickness, (0, 220, 255), -1)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from sunarc.archives.fit import Final, Rough, make_epoch_document
+from sunarc.archives.leaning import seen_directions
 from sunarc.archives.ledger import Ledger, ParallelMap, content_key
 from sunarc.archives.nights import NightsLooked
 from sunarc.archives.obstructions import EpochObstructions
@@ -293,7 +294,8 @@ def _sigmas(result: CameraResult, offsets: Sequence[float]) -> FloatArray:
         calibration = result.final.fitted[state.pose].calibration
         if calibration.verdict.accepted:
             held = result.final.path == number
-            residual[held] = points.pixels[held] - project(calibration.camera, directions[held])
+            seen = seen_directions(calibration, directions[held], (points.unix_s - offsets)[held])
+            residual[held] = points.pixels[held] - project(calibration.camera, seen)
     sky = [one.verdict for one in map(result.looked.found.__getitem__, rows) if isinstance(one, FoundSun)]
     return series_sigma(residual, points.sigma_px, sky)
 

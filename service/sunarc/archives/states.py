@@ -23,7 +23,7 @@ from sunarc.calibration.model.pose_change import Cause
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.pose import estimate_pose
-from sunarc.calibration.quality.tilt import mount_density
+from sunarc.calibration.quality.tilt import clock_behind_turn, mount_density
 from sunarc.calibration.verdict import is_undetermined
 from sunarc.changes.epoch_changes import EpochCause, estimate_daily_noise
 from sunarc.common.array_types import BoolArray, FloatArray, IntArray, evenly_spread
@@ -55,7 +55,7 @@ _MOST_STATES = 24
 _ALTERNATING = 0.15
 """Share of the sightings of a day that another state than the one before explains, from which they are those of two
 cameras: of images taken by turns it is a half and more, of a day on which a camera changes one sighting's."""
-_QUARTER_S = 900.0
+_HOUR_S, _QUARTER_S = 3600.0, 900.0
 """Clocks are wrong by time zones, which are whole quarters of an hour, or by their drift."""
 _LARGEST_OFFSET_S = 14.0 * 3600.0
 _FINEST_S = 1.0
@@ -531,6 +531,7 @@ def correct_clock(states: Sequence[State], path: IntArray, site: Site) -> list[S
     site : where the camera stands.
     """
     known = {0.0, *(a.clock_offset_s - b.clock_offset_s for a in states for b in states if a.pose == b.pose)}
+    known |= _hours_between(states, path, site)
     offsets: dict[int, float] = {}
     for pose in {state.pose for state in states}:
         of_pose = [(number, state) for number, state in enumerate(states) if state.pose == pose]
@@ -553,6 +554,20 @@ def correct_clock(states: Sequence[State], path: IntArray, site: Site) -> list[S
         )
         for state in states
     ]
+
+
+def _hours_between(states: Sequence[State], path: IntArray, site: Site) -> set[float]:
+    """Return the changes of the clock by whole hours, s, that successive poses of a camera show, either way.
+
+    A camera that leans meanwhile is not in the pose before: no known state explains its sightings with another clock.
+    """
+    numbers = path[np.flatnonzero(np.diff(path, prepend=-1))].tolist()
+    found = set[float]()
+    for before, after in itertools.pairwise(states[number] for number in numbers):
+        clock = clock_behind_turn(before.calibration.camera, after.calibration.camera, site)
+        if clock.odds > 1.0 and before.pose != after.pose and before.clock_offset_s == after.clock_offset_s:
+            found |= {clock.hours * _HOUR_S, -clock.hours * _HOUR_S}
+    return found
 
 
 def _turned_about_pole(state: State, offset_s: float, site: Site) -> tuple[float, float, float]:

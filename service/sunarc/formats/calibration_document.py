@@ -13,7 +13,7 @@ import numpy as np
 
 from sunarc.calibration.answers.ageing import age_step_days, aged
 from sunarc.calibration.model import result
-from sunarc.calibration.model.pose_change import PoseChange, pose_before, turn_between
+from sunarc.calibration.model.pose_change import PoseChange, SteadyTurn, pose_before, turn_between
 from sunarc.calibration.model.residual_field import Field
 from sunarc.common.array_types import FloatArray
 from sunarc.common.errors import InputError
@@ -165,8 +165,7 @@ def to_document(
         "uncertainty": uncertainty_document(calibration),
         "night": None if calibration.night is None else _plain(asdict(calibration.night)),
         "metrics": {f.name: _number(getattr(calibration.metrics, f.name)) for f in fields(result.Metrics)},
-        "evidence": {f.name: _plain(getattr(calibration.evidence, f.name)) for f in fields(result.Provenance)}
-        | {"moves": _moves(calibration)},
+        "evidence": _evidence(calibration),
         "verdict": {
             "accepted": calibration.verdict.accepted,
             "marginal": calibration.verdict.marginal,
@@ -194,6 +193,13 @@ def camera_document(document: Mapping[str, Any]) -> Document:
     sky = {key: uncertainty[key] for key in _SKY_KEYS if key in uncertainty}
     camera = {key: document[key] for key in _CAMERA_KEYS}
     return {"schema": CAMERA_SCHEMA, **camera, "uncertainty": {"field": displacement, **sky}}
+
+
+def _evidence(calibration: result.Calibration) -> Document:
+    """Return the provenance; of a camera that stands no turn is written."""
+    evidence, turning = calibration.evidence, calibration.evidence.turning
+    plain = {f.name: _plain(getattr(evidence, f.name)) for f in fields(evidence) if f.name != "turning"}
+    return plain | {"moves": _moves(calibration)} | ({} if turning is None else {"turning": _plain(asdict(turning))})
 
 
 def _moves(calibration: result.Calibration) -> list[Document]:
@@ -471,6 +477,7 @@ def _read_evidence(read: DocumentReader, camera: Camera) -> result.Provenance:
         start=read.value("evidence.start", needed=False),
         selection=read.value("evidence.selection", needed=False) or {},
         pose_spread_deg=_read_spread(read),
+        turning=_read_turning(read),
         moves=_read_moves(read, camera),
         log_odds=read.value("evidence.log_odds", needed=False) or {},
         held_out=read.value("evidence.held_out", needed=False) or {},
@@ -498,6 +505,17 @@ def _read_moves(read: DocumentReader, camera: Camera) -> tuple[PoseChange, ...]:
     return tuple(
         PoseChange(time=bracket[1], bracket=bracket, rotation_deg=turn_between(*between), cause="moved")
         for bracket, between in zip(brackets, pairwise(poses), strict=True)
+    )
+
+
+def _read_turning(read: DocumentReader) -> SteadyTurn | None:
+    if read.value("evidence.turning", needed=False) is None:
+        return None
+    rate, sigma = (read.numbers(f"evidence.turning.{name}", 3) for name in ("deg_per_day", "sigma_deg_per_day"))
+    return SteadyTurn(
+        at_unix_s=read.number("evidence.turning.at_unix_s"),
+        deg_per_day=(rate[0], rate[1], rate[2]),
+        sigma_deg_per_day=(sigma[0], sigma[1], sigma[2]),
     )
 
 

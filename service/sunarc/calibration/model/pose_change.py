@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from sunarc.common.array_types import FloatArray
 from sunarc.common.findings import Finding
+from sunarc.common.utc import DAY_S
 from sunarc.optics.pose import rotation_matrix, rotation_vector
 
 Cause = Literal[
@@ -66,6 +67,32 @@ class PoseChange:
     def progress(self, time: FloatArray) -> FloatArray:
         """Return the share (n,) of the change that was done at times: 0 before it, 1 at its end."""
         return progress(time, self.time, self.bracket[1], self.settling)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SteadyTurn:
+    """Steady turn of a camera whose pose is that of a stated time."""
+
+    at_unix_s: float
+    """Time of the pose, seconds since 1970-01-01 UTC."""
+    deg_per_day: tuple[float, float, float]
+    """Turn of the camera about east, north and up, right-handed, degrees a day."""
+    sigma_deg_per_day: tuple[float, float, float]
+    """1-sigma of each."""
+
+    def as_seen(self, directions: FloatArray, unix_s: FloatArray) -> FloatArray:
+        """Return where the camera of the stated time sees what the turned one sees at other times.
+
+        Parameters
+        ----------
+        directions : (n, 3) unit vectors, east-north-up.
+        unix_s : (n,) times of these; turns of some degrees are right to 1e-4 degrees.
+        """
+        days = (np.asarray(unix_s) - self.at_unix_s)[:, None] / DAY_S
+        back = -np.radians(days * np.array(self.deg_per_day))
+        once = np.cross(back, directions)
+        turned = directions + once + 0.5 * np.cross(back, once)
+        return np.asarray(turned / np.linalg.norm(turned, axis=-1, keepdims=True))
 
 
 def progress(time: FloatArray, first: float, last: float, settling: float) -> FloatArray:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from sunarc.calibration.model.options import Method
-from sunarc.calibration.model.pose_change import PoseChange
+from sunarc.calibration.model.pose_change import PoseChange, SteadyTurn
 from sunarc.calibration.model.residual_field import Field
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.common.array_types import BoolArray, FloatArray, IntArray
@@ -182,6 +182,7 @@ class Provenance:
     start : the camera that the fit began at, by name; None where it was sought.
     selection : how the sightings were picked from a longer record: limits and counts; empty where all were given.
     pose_spread_deg : the spread of daily poses that the uncertainty allows for, about east, north and up; None: none.
+    turning : steady turn of the camera through the sightings, whose pose is that of its time; None of one that stands.
     moves : moves of the camera that were found among the sightings, in the order of time.
     log_odds : natural log odds of each part of the lens model against its being zero (`skew`, `radial`, `decentering`)
         and of a field, how many `radial_terms` are needed, and of the errors that sightings share, see `fit.effects`;
@@ -205,6 +206,7 @@ class Provenance:
     start: Mapping[str, object] | None = None
     selection: Mapping[str, object] = field(default_factory=dict)
     pose_spread_deg: tuple[float, float, float] | None = None
+    turning: SteadyTurn | None = None
     moves: tuple[PoseChange, ...] = ()
     log_odds: Mapping[str, float] = field(default_factory=dict)
     held_out: Mapping[str, float] = field(default_factory=dict)
