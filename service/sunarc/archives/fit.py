@@ -154,10 +154,14 @@ def assign_lenses(
 
 
 def _share_lens(calibrations: Sequence[Calibration], seen: Sequence[Sightings], camera: ArchiveCamera) -> list[Camera]:
-    """Return the cameras of two sides of a change, that of fewer sightings with the lens of the other in its pose."""
+    """Return the cameras of two sides of a change, that of fewer sightings with the lens of the other in its pose.
+
+    Where no pose fits them, each keeps its own.
+    """
     fewer = int(len(seen[1]) <= len(seen[0]))
     posed = estimate_pose(seen[fewer], start=calibrations[1 - fewer], site=camera.site, options=camera.loosely())
-    return [posed.camera if side == fewer else solved.camera for side, solved in enumerate(calibrations)]
+    fits = len(posed.left_out) < len(seen[fewer])
+    return [posed.camera if side == fewer and fits else solved.camera for side, solved in enumerate(calibrations)]
 
 
 def fit_poses(

@@ -335,7 +335,8 @@ def _leave_one_out_residuals(
 
 
 def _log_density(loo_residual: FloatArray, spread: FloatArray) -> FloatArray:
-    determinant = np.maximum(np.linalg.det(spread), 1e-20)
+    with np.errstate(invalid="ignore"):  # NaN where nothing is predicted
+        determinant = np.maximum(np.linalg.det(spread), 1e-20)
     square = squared_sigmas(loo_residual, spread)
     return np.asarray(-0.5 * square - 0.5 * np.log(determinant) - math.log(2.0 * math.pi))
 

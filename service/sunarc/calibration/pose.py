@@ -150,7 +150,10 @@ def estimate_pose(
     job = Job(points=points, usable=usable, site=site, image_size=size, options=options, free="pose")
     if len(usable) < FEWEST:
         return refused(job, (Finding("too_few_sightings", {"n": len(usable), "least": FEWEST}),))
-    fit = fit_pose(start, assign_noise(usable, points, start))
+    try:
+        fit = fit_pose(start, assign_noise(usable, points, start))
+    except np.linalg.LinAlgError:  # no pose is near the sightings: the equations mean nothing
+        return refused(job, (Finding("no_camera_fits"),))
     fitted = make_outcome(fit, start, usable, wander_rad=math.radians(wander_deg))
     return calibration_from_fit(fitted, job)
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from tests.fixtures.clear_day import NOON_13_MAY_2013
 
 from sunarc.calibration.answers.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.calibrate import calibrate
@@ -206,3 +207,16 @@ def test_sightings_of_a_frozen_image_are_an_answer_and_no_exception(
     assert found.verdict.reasons
     assert not found.verdict.accepted  # not either where the first half is good: half of the sightings is left out
     daily_pose_offset(points, calibration=calibrated, site=SGP)
+
+
+@pytest.mark.parametrize("seed", [4, 8])
+def test_pixels_without_any_order_are_refused_and_never_raise(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    unix_s = NOON_13_MAY_2013 + 3600.0 * np.sort(rng.uniform(-4.0, 4.0, 40))
+
+    def scattered(day: int) -> Sightings:
+        return Sightings.of(unix_s=unix_s + 86_400.0 * day, pixels=rng.uniform(0.0, 960.0, (40, 2)))
+
+    start = calibrate(scattered(0), site=SGP, image_size=(960, 960))
+    posed = [estimate_pose(scattered(day), start=start, site=SGP) for day in range(2)]
+    assert [one.verdict.accepted for one in posed] == [False, False]
