@@ -14,7 +14,7 @@ import jsonschema_rs
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from tests.finding_codes import codes
+from tests.fixtures.finding_codes import codes
 
 from sunarc.archives.fit import CameraSightings, Final, final_analysis, first_analysis
 from sunarc.archives.leaning import leaning_fit, seen_directions

@@ -105,7 +105,7 @@ def _turn_with_lens(
 ) -> tuple[FloatArray, Camera]:
     """Return the turn (3,) from the first to the last sighting, degrees, and a plain lens that fits best with it.
 
-    The lens is none that a fit without a turn has bent: the sun's declination changes meanwhile, so that a flexible
+    The lens is not that of a fit without a turn: the sun's declination changes meanwhile, so that a flexible
     one takes up most of the turn.
     """
     from scipy.optimize import least_squares  # noqa: PLC0415 - an archive that stands still does without it
