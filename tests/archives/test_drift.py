@@ -129,7 +129,7 @@ def test_a_camera_that_leans_has_the_pose_of_a_time_and_its_rate() -> None:
         software_version="0.1.0",
     )
     assert from_document(json.loads(json.dumps(written))).evidence.turning == turning
-    json_schema = json.loads((Path(__file__).parents[3] / "docs" / "calibration.schema.json").read_text())
+    json_schema = json.loads((Path(__file__).parents[2] / "docs" / "calibration.schema.json").read_text())
     jsonschema_rs.validator_for(json_schema).validate(written)
 
 
