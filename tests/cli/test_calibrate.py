@@ -329,7 +329,8 @@ def test_the_uncertainty_holds_the_clock_and_the_detection_that_are_stated_and_n
     # about the pole by 15 arcseconds a second, seen per axis from 36° of latitude
     turn_deg = 2.0 * 15.0 / 3600.0 * math.sqrt((1.0 + math.cos(math.radians(90.0 - 36.6)) ** 2) / 4.0)
     assert bounded == pytest.approx(math.sqrt(loose**2 - turn_deg**2), rel=0.15)
-    assert both < 0.9 * bounded
+    outwards_deg = 0.007 / math.sqrt(2.0)  # of the two axes of a direction one is along the radius
+    assert both == pytest.approx(math.sqrt(bounded**2 - outwards_deg**2), rel=0.02)
     assert wide == pytest.approx(30.0 * turn_deg, rel=0.2)
 
 

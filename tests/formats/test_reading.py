@@ -123,7 +123,7 @@ TEN = YAML.replace(b"  ss: [", b"  ss: [" + b"0.0, " * 6)
 @pytest.mark.parametrize(
     ("content", "problem"),
     [
-        (b"\x00\x01", "no format"),
+        (b"\x00\x01", "no known format"),
         (b"{}", "schema"),
         (json.dumps(document_of(SMALL) | {"schema": "sunarc.calibration/3"}).encode(), "calibration/3"),
         (TEN, "10 coefficients"),
