@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).parents[2]
 SERVICE = ROOT / "service" / "sunarc"
 FILES = sorted(SERVICE.rglob("*.py"))
-MAKERS = ("Finding", "FitCheck", "condition", "make_condition", "stepped", "_report")
+MAKERS = ("Finding", "FitCheck", "condition", "make_condition", "stepped", "_report_damage")
 FORMATTED: dict[str, tuple[str, ...]] = {
     "changed_": get_args(ChangeKind),
     "database_": get_args(Recovered),

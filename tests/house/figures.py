@@ -361,7 +361,7 @@ def stations_of_sightings(*more: str) -> set[Station]:
         for name, value in carried.items():
             if found := _arrays(value):
                 own = any(id(one) in columns for one in found)
-                stations.add(Station(place, function, name, own, "calibrate_moved" in begun, "_rounds" in begun))
+                stations.add(Station(place, function, name, own, "calibrate_moved" in begun, "_run_rounds" in begun))
         if place == "calibration/fit/robust_fit.py":
             begun.add(function)
 

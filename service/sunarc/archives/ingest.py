@@ -111,14 +111,16 @@ def ingest_folder(
     upgrade_present(settings.archive)
     with open_archive(settings.archive) as archive:
         record = known_camera(archive, settings)
-        camera, failures = index_folder(_plan(settings, folder, options, None if record is None else record.image_size))
+        camera, failures = index_folder(
+            _make_plan(settings, folder, options, None if record is None else record.image_size)
+        )
         if camera.images and camera.size != (0, 0):
             register_camera(archive, settings, camera.size)
         with FolderLedger(archive, settings, camera, options) as store:
             passes = Passes(store, ProcessRunner(options.processes), progress)
             (mask,) = passes.masks([camera]) if camera.images else [None]
             passes.search([camera], [mask])
-            findings = _predicted(passes, store, mask) if store.unpredicted() else ()
+            findings = _run_second_pass(passes, store, mask) if store.unpredicted() else ()
         nights = ingest_nights(archive, settings, camera, reprocess=options.reprocess, progress=progress)
         found = store.found()
     sheet = options.contact_sheet or settings.state / "ingest" / "contact-sheet.png"
@@ -159,7 +161,7 @@ def ingest_followed(settings: Settings, *, rules: TimeRules, only: frozenset[str
     return True
 
 
-def _plan(settings: Settings, folder: Path, options: IngestOptions, size: tuple[int, int] | None) -> CameraPlan:
+def _make_plan(settings: Settings, folder: Path, options: IngestOptions, size: tuple[int, int] | None) -> CameraPlan:
     return CameraPlan(
         name=settings.name,
         site=settings.place,
@@ -174,7 +176,7 @@ def _plan(settings: Settings, folder: Path, options: IngestOptions, size: tuple[
     )
 
 
-def _predicted(passes: Passes, store: FolderLedger, mask: PackedMask | None) -> tuple[Finding, ...]:
+def _run_second_pass(passes: Passes, store: FolderLedger, mask: PackedMask | None) -> tuple[Finding, ...]:
     """Look again, with a prediction, at images whose sighting is not where the sun should be.
 
     Returns
@@ -182,17 +184,17 @@ def _predicted(passes: Passes, store: FolderLedger, mask: PackedMask | None) -> 
     Why there is no prediction for some of them, or what of the camera has to be set.
     """
     points, _ = store.looked().points()
-    camera = _camera(store)
+    camera = _make_archive_camera(store)
     rough = _first_analysis(store, points, camera)
     if not rough.states:
         return rough.findings
     # where no state explains a day, the camera's pose on it is unknown: its sightings stay as they are
     doubtful = disagreeing_days(points, rough.states, camera)
-    refused = _refused_epochs(store, points, rough, camera)
-    looked = _without_refusals(store.looked(without_days=doubtful), rough.epochs, refused)
+    refused = _find_refused_epochs(store, points, rough, camera)
+    looked = _drop_refusals(store.looked(without_days=doubtful), rough.epochs, refused)
     states = [one._replace(clock_offset_s=0.0) if _is_time_zone(one.clock_offset_s) else one for one in rough.states]
     images = replace(store.camera, images=looked.images)
-    expected = predictions(images, states, rough.epochs, misfit_px=_misfits_px(points, rough, camera))
+    expected = predictions(images, states, rough.epochs, misfit_px=_scatter_of_states_px(points, rough, camera))
     store.expect(looked.images, expected)
     passes.predict([(images, looked)], [expected], [mask])
     store.mark_predicted(looked.images)
@@ -200,10 +202,10 @@ def _predicted(passes: Passes, store: FolderLedger, mask: PackedMask | None) -> 
         ValidCamera(states[one.state].calibration, one.start_unix_s, one.end_unix_s + 1e-6) for one in rough.epochs
     ]
     learn_sigma(store.archive, store.settings, valid, now=SystemClock().now())
-    return (*doubtful.values(), *refused.values(), *_mirrored(states, store.settings))
+    return (*doubtful.values(), *refused.values(), *_find_mirroring(states, store.settings))
 
 
-def _camera(store: FolderLedger) -> ArchiveCamera:
+def _make_archive_camera(store: FolderLedger) -> ArchiveCamera:
     settings, numbers = store.settings, store.settings.refit.image_circle_px
     circle = None if numbers is None else ImageCircle(x=numbers[0], y=numbers[1], radius=numbers[2])
     options = replace(settings.calibration, method="robust", mirrored="auto")
@@ -217,7 +219,9 @@ def _first_analysis(store: FolderLedger, points: Sightings, camera: ArchiveCamer
     return first_analysis(CameraSightings(points, camera, known))
 
 
-def _refused_epochs(store: FolderLedger, points: Sightings, rough: Rough, camera: ArchiveCamera) -> dict[int, Finding]:
+def _find_refused_epochs(
+    store: FolderLedger, points: Sightings, rough: Rough, camera: ArchiveCamera
+) -> dict[int, Finding]:
     """Return the epochs whose sightings give no calibration, with the finding against each; that of a served is one."""
     served = store.archive.calibrations.current_model(store.settings.name) is not None
     poses = [rough.states[one.state].pose for one in rough.epochs]
@@ -229,7 +233,7 @@ def _refused_epochs(store: FolderLedger, points: Sightings, rough: Rough, camera
     return {number: verdict.findings[0] for number, verdict in verdicts.items() if not verdict.accepted}
 
 
-def _without_refusals(looked: Looked, epochs: Sequence[Epoch], refused: Container[int]) -> Looked:
+def _drop_refusals(looked: Looked, epochs: Sequence[Epoch], refused: Container[int]) -> Looked:
     """Return images without those in refused epochs whose sun was refused: the prediction of such a one proves nothing.
 
     They wait as they are for a calibration that is accepted; see `without_lifted`.
@@ -246,7 +250,7 @@ def _is_refusal(found: Found) -> bool:
     return isinstance(found, FoundSun) and not found.accepted and found.verdict != IN_STACK
 
 
-def _misfits_px(points: Sightings, rough: Rough, camera: ArchiveCamera) -> list[float]:
+def _scatter_of_states_px(points: Sightings, rough: Rough, camera: ArchiveCamera) -> list[float]:
     """Return the scatter of each state's sightings beyond their own and its covariance."""
     misfits = []
     for number, one in enumerate(rough.states):
@@ -264,7 +268,7 @@ def _is_time_zone(offset_s: float) -> bool:
     return offset_s % _QUARTER_S == 0.0
 
 
-def _mirrored(states: Sequence[State], settings: Settings) -> tuple[Finding, ...]:
+def _find_mirroring(states: Sequence[State], settings: Settings) -> tuple[Finding, ...]:
     """Return that the camera is mirrored, or is not, where the settings say otherwise."""
     mirrored = any(one.calibration.camera.mirrored for one in states)
     if (settings.calibration.mirrored or "no") != ("no" if mirrored else "yes"):
@@ -272,7 +276,7 @@ def _mirrored(states: Sequence[State], settings: Settings) -> tuple[Finding, ...
     return (Finding("mirrored_setting_differs", {"mirrored": "yes" if mirrored else "no"}),)
 
 
-def _as_found_sun(stored: FileSighting) -> FoundSun:
+def _make_found_sun(stored: FileSighting) -> FoundSun:
     verdict = cast("Verdict", stored.verdict)
     if not stored.accepted:
         return FoundSun(accepted=False, verdict=verdict)
@@ -309,16 +313,16 @@ class FolderLedger:
         self._waiting: list[SunPoint] = []
 
     def __enter__(self) -> Self:
-        self._adopt()
+        self._assign_missing_files()
         return self
 
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, at: TracebackType | None) -> None:
-        self._write()  # also when the run is broken off: what was found need not be looked for again
+        self._write_waiting()  # also when the run is broken off: what was found need not be looked for again
 
     def answers(self, camera: str, *, pass_number: int) -> Iterator[tuple[ImageId, Known]]:
         """Yield the sightings that are known: without a prediction all, with one those that were predicted."""
         del camera
-        known = self._known() if pass_number == SEARCHED else None
+        known = self._list_known_keys() if pass_number == SEARCHED else None
         for image, one in self.found().items():
             if image.key in known if known is not None else one.ingest_pass != SEARCHED:
                 detection = Detection(
@@ -337,18 +341,18 @@ class FolderLedger:
                 self.looked_at.append(image)
             if isinstance(found, Detection):
                 found = as_predicted(
-                    scale_detection_sigma(found, self._factors[found.method]), self._expected.get(identity)
+                    scale_detection_sigma(found, self._read_sigma_factors[found.method]), self._expected.get(identity)
                 )
-                self._waiting.append(self._point(image, found, pass_number))
+                self._waiting.append(self._make_sighting(image, found, pass_number))
             elif isinstance(found, Finding) and pass_number == SEARCHED:
                 self.failures.append(Failure(image.path, found))
         if len(self._waiting) >= _BATCH:
-            self._write()
+            self._write_waiting()
 
     def mask(self, camera: str, *, version: str) -> KeptMask | None:
         """Return that no mask is to be made where no image is to be read."""
         del camera, version
-        known = self._known()
+        known = self._list_known_keys()
         return (
             KeptMask(None) if all(one.key in known for one in self.camera.images) and not self.unpredicted() else None
         )
@@ -358,7 +362,7 @@ class FolderLedger:
 
     def found(self) -> dict[ArchiveImage, FileSighting]:
         """Return the sighting that counts of each image: the accepted one, else the one stored last."""
-        self._write()
+        self._write_waiting()
         by_key: dict[ImageKey, FileSighting] = {}
         for one in self._read_stored():
             former = by_key.get(one.key)
@@ -371,7 +375,7 @@ class FolderLedger:
         found = self.found()
         days = solar_days(np.array([one.unix_s for one in found]), longitude=self.settings.place.longitude).tolist()
         kept = {image: one for (image, one), day in zip(found.items(), days, strict=True) if day not in without_days}
-        suns = (_as_found_sun(one) for one in kept.values())
+        suns = (_make_found_sun(one) for one in kept.values())
         return Looked(tuple(kept), tuple(suns))
 
     def unpredicted(self) -> bool:
@@ -389,7 +393,7 @@ class FolderLedger:
         self.archive.sightings.mark_predicted(self.settings.name, keys, ingest_pass=PREDICTED)
 
     @cached_property
-    def _factors(self) -> dict[str, float]:
+    def _read_sigma_factors(self) -> dict[str, float]:
         """Return the factor of each method's stated sigma."""
         return {one: factor_in_force(self.archive, self.settings.name, one) for one in get_args(DetectionMethod)}
 
@@ -397,13 +401,13 @@ class FolderLedger:
         times_us = {image.time_us for image in self.camera.images}
         return self.archive.sightings.file_sightings(self.settings.name, times_us=times_us)
 
-    def _known(self) -> set[ImageKey]:
+    def _list_known_keys(self) -> set[ImageKey]:
         """Return the keys of the images that have a sighting by the method asked for, or by any where that is open."""
         if self._options.reprocess:
             return set()
         return {one.key for one in self._read_stored() if self._options.method in {"auto", one.method}}
 
-    def _adopt(self) -> None:
+    def _assign_missing_files(self) -> None:
         """Give sightings whose file is not here the name and folder of an image of their time and exposure.
 
         It has the same name, or is the first one where that is not known (version 0.2): a folder that is ingested by
@@ -419,22 +423,22 @@ class FolderLedger:
         for former in stored:
             options = () if former in here else free.get(former._replace(folder=""), ())
             new = next((one for one in options if one not in taken), None)
-            if new is not None and not self._is_there(former):
+            if new is not None and not self._is_file_present(former):
                 renamed[former] = new
                 taken.add(new)
         self.archive.sightings.rename_files(self.settings.name, renamed)
 
-    def _is_there(self, key: ImageKey) -> bool:
+    def _is_file_present(self, key: ImageKey) -> bool:
         """Return whether a file is below the folder, though it is not read in this run."""
         root = Path(name_path(stored_address(self.camera.plan.selector.sources[0])))
         return key.folder != "" and is_regular(root / name_path(key.folder) / name_path(key.file.partition("#")[0]))
 
-    def _write(self) -> None:
+    def _write_waiting(self) -> None:
         points, self._waiting = self._waiting, []
         if points:
             self.set_aside |= self.archive.sightings.replace(points, first_epoch="first image")
 
-    def _point(self, image: ArchiveImage, found: Detection, pass_number: int) -> SunPoint:
+    def _make_sighting(self, image: ArchiveImage, found: Detection, pass_number: int) -> SunPoint:
         return make_sun_point(
             found,
             camera=self.settings.name,

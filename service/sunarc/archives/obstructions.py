@@ -109,9 +109,11 @@ def epoch_obstructions(given: EpochImages) -> EpochObstructions:
     """Return the obstructions that the images of an epoch show."""
     cv2.setNumThreads(1)
     try:
-        found = learn_mask(_read(given), given.calibration)
+        found = learn_mask(_read_images(given), given.calibration)
     except InputError as error:
-        return EpochObstructions({}, 0, 0, error.problem, _png(np.full(given.size[::-1], UNKNOWN, dtype=np.uint8)))
+        return EpochObstructions(
+            {}, 0, 0, error.problem, _encode_png(np.full(given.size[::-1], UNKNOWN, dtype=np.uint8))
+        )
     profile = found.horizon
     known = np.isfinite(profile.elevation_deg)
     return EpochObstructions(
@@ -119,24 +121,24 @@ def epoch_obstructions(given: EpochImages) -> EpochObstructions:
         seen=int(np.count_nonzero(known)),
         hidden=int(np.count_nonzero(profile.elevation_deg[known] >= _LOW_DEG)),
         missing=None,
-        picture=_picture(profile, found.mask.grid),
+        picture=_draw_horizon_picture(profile, found.mask.grid),
     )
 
 
-def _read(given: EpochImages) -> Iterator[tuple[float, Image | None]]:
+def _read_images(given: EpochImages) -> Iterator[tuple[float, Image | None]]:
     for one in given.images:
         image = read_one_image(open_source(one.address), one.file, one.number, size=given.size)
         yield one.unix_s, None if isinstance(image, Finding) else image
 
 
-def _picture(profile: HorizonProfile, grid: CellGrid) -> bytes:
+def _draw_horizon_picture(profile: HorizonProfile, grid: CellGrid) -> bytes:
     """Return a PNG of the image's size: 255 above the horizon, 0 below it, 128 outside the camera's field."""
     state = np.where(profile.hides(np.moveaxis(grid.directions, 0, -1).astype(np.float64)), HIDDEN, FREE).astype(
         np.uint8
     )
     state[~grid.directions.any(axis=0)] = UNKNOWN
-    return _png(cv2.resize(state, grid.size, interpolation=cv2.INTER_NEAREST))
+    return _encode_png(cv2.resize(state, grid.size, interpolation=cv2.INTER_NEAREST))
 
 
-def _png(state: NDArray[Any]) -> bytes:
+def _encode_png(state: NDArray[Any]) -> bytes:
     return cv2.imencode(".png", state)[1].tobytes()

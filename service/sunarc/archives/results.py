@@ -112,25 +112,34 @@ def write_results(
     ------
     OutsideError : something cannot be written.
     """
-    documents = {(one.name, one.epoch_name(n)): _document(one, n) for one in results for n in range(len(one.epochs))}
+    documents = {
+        (one.name, one.epoch_name(n)): _make_document(one, n) for one in results for n in range(len(one.epochs))
+    }
     with disk_errors(target):
         shutil.rmtree(target / "calibrations", ignore_errors=True)  # of a former run, perhaps with other epochs
-        _write(target / "sightings.csv", _csv(_HEADER, [row for one in results for row in _sightings(one)]))
-        stars = [row for one in results for row in _stars(one)]
-        _write(target / "stars.csv", _csv(_HEADER, stars))
-        _write(target / "failures.csv", _csv(("file", "code", "reason"), _failures(results, indexed)))
-        _write(target / "epochs.json", json_text([row for one in results for row in _epochs(one, documents)]).encode())
+        _write_whole(
+            target / "sightings.csv", _encode_csv(_HEADER, [row for one in results for row in _make_sighting_rows(one)])
+        )
+        stars = [row for one in results for row in _make_star_rows(one)]
+        _write_whole(target / "stars.csv", _encode_csv(_HEADER, stars))
+        _write_whole(
+            target / "failures.csv", _encode_csv(("file", "code", "reason"), _make_failure_rows(results, indexed))
+        )
+        _write_whole(
+            target / "epochs.json",
+            json_text([row for one in results for row in _make_epoch_rows(one, documents)]).encode(),
+        )
         for (camera, epoch), document in documents.items():
-            _write(target / "calibrations" / camera / f"{epoch}.json", json_text(document).encode())
+            _write_whole(target / "calibrations" / camera / f"{epoch}.json", json_text(document).encode())
         _write_obstructions(target, results)
         _write_detections(target / "detections", results, ledger)
         missing = _write_exports(target / "exports", documents if each is not None else {}, each, ledger)
     report = {
-        "cameras": [_camera(one, documents) for one in results],
-        "refused": [_refusal(one) for one in indexed.refused],
-        "failures": dict(Counter(row[1] for row in _failures(results, indexed)).most_common()),
+        "cameras": [_summarise_camera(one, documents) for one in results],
+        "refused": [_make_refusal(one) for one in indexed.refused],
+        "failures": dict(Counter(row[1] for row in _make_failure_rows(results, indexed)).most_common()),
         "headline": choose_headline(
-            [one.finding for one in _left_out(results, indexed)],
+            [one.finding for one in _list_left_out(results, indexed)],
             used=sum(len(one.looked.points()[1]) for one in results),
         ),
         "exports_missing": missing,
@@ -147,11 +156,11 @@ def _write_obstructions(target: Path, results: Sequence[CameraResult]) -> None:
         for number, shown in enumerate(one.obstructions):
             for ending, content in shown.files.items():
                 folder = target / ("masks" if ending == "png" else "horizons") / one.name
-                _write(folder / f"{one.epoch_name(number)}.{ending}", content)
+                _write_whole(folder / f"{one.epoch_name(number)}.{ending}", content)
         pictures = [shown.picture for shown in sorted(one.obstructions, key=lambda shown: shown.missing is None)]
         newest = next(filter(None, reversed(pictures)), None)  # that is known, if one is
         if newest is not None:
-            _write(target / f"horizon_{one.part}.png", newest)
+            _write_whole(target / f"horizon_{one.part}.png", newest)
 
 
 _NUMBERS_FOUND = ("x_px", "y_px", "sigma_px", "radius_px", "ellipticity", "peak_fraction", "background_fraction")
@@ -173,11 +182,11 @@ def _write_detections(folder: Path, results: Sequence[CameraResult], ledger: Led
         times = np.array([image.time_us for image in one.looked.images], dtype=np.int64)
         key = content_key((software(), times, ledger.count_finished_chunks()))
         if not path.is_file() or ledger.result(kept_as, key) is None:
-            _write(path, _parquet(_detections(one, ledger)))
+            _write_whole(path, _encode_parquet(_make_detection_columns(one, ledger)))
             ledger.keep_result(kept_as, key, True)
 
 
-def _detections(result: CameraResult, ledger: Ledger) -> dict[str, Sequence[object]]:
+def _make_detection_columns(result: CameraResult, ledger: Ledger) -> dict[str, Sequence[object]]:
     """Return the detections in each image by columns: the answer that counts, with a rejected position, too."""
     images = result.looked.images
     row_by_image = {make_image_id(image): row for row, image in enumerate(images)}
@@ -217,7 +226,7 @@ def _detections(result: CameraResult, ledger: Ledger) -> dict[str, Sequence[obje
     }
 
 
-def _parquet(columns: Mapping[str, Sequence[object]]) -> bytes:
+def _encode_parquet(columns: Mapping[str, Sequence[object]]) -> bytes:
     arrow, parquet = (extra_module(name, extra="parquet") for name in ("pyarrow", "pyarrow.parquet"))
     text, number = arrow.dictionary(arrow.int32(), arrow.string()), arrow.float64()
     kinds = {
@@ -231,7 +240,7 @@ def _parquet(columns: Mapping[str, Sequence[object]]) -> bytes:
     return target.getvalue()
 
 
-def _document(result: CameraResult, number: int) -> Document:
+def _make_document(result: CameraResult, number: int) -> Document:
     assert result.final is not None  # noqa: S101 - it has epochs
     epoch = result.final.epochs[number]
     state = result.final.states[epoch.state]
@@ -248,7 +257,7 @@ def _document(result: CameraResult, number: int) -> Document:
     )
 
 
-def _sightings(result: CameraResult) -> list[tuple[object, ...]]:
+def _make_sighting_rows(result: CameraResult) -> list[tuple[object, ...]]:
     """Return the accepted sightings, at the times that their epoch's clock is corrected to."""
     points, rows = result.looked.points()
     if result.final is None:
@@ -260,7 +269,7 @@ def _sightings(result: CameraResult) -> list[tuple[object, ...]]:
             for unix_s in points.unix_s[one.first : one.last + 1].tolist()
         ]
         offsets = [result.final.states[number].clock_offset_s for number in result.final.path.tolist()]
-        sigmas = _sigmas(result, offsets).tolist()
+        sigmas = _compute_sigmas(result, offsets).tolist()
     table = []
     for row, epoch, offset_s, sigma_px in zip(rows, epochs, offsets, sigmas, strict=True):
         image, found = result.looked.images[row], result.looked.found[row]
@@ -272,7 +281,7 @@ def _sightings(result: CameraResult) -> list[tuple[object, ...]]:
     return sorted(table, key=lambda one: (str(one[1]), str(one[2])))
 
 
-def _stars(result: CameraResult) -> list[tuple[object, ...]]:
+def _make_star_rows(result: CameraResult) -> list[tuple[object, ...]]:
     """Return the sightings of stars and planets, at the times that their epoch's clock is corrected to."""
     table = []
     for night, image, stars in result.nights.named():
@@ -284,7 +293,7 @@ def _stars(result: CameraResult) -> list[tuple[object, ...]]:
     return sorted(table, key=lambda one: (str(one[1]), str(one[2]), str(one[6])))
 
 
-def _sigmas(result: CameraResult, offsets: Sequence[float]) -> FloatArray:
+def _compute_sigmas(result: CameraResult, offsets: Sequence[float]) -> FloatArray:
     """Return (n,): the sigma of each accepted sighting by those of its kind of sky about the accepted calibrations."""
     assert result.final is not None  # noqa: S101 - it has offsets
     points, rows = result.looked.points()
@@ -300,11 +309,11 @@ def _sigmas(result: CameraResult, offsets: Sequence[float]) -> FloatArray:
     return series_sigma(residual, points.sigma_px, sky)
 
 
-def _failures(results: Sequence[CameraResult], indexed: Indexed) -> list[tuple[str, str, str]]:
-    return sorted((one.file, one.finding.code, one.finding.text) for one in _left_out(results, indexed))
+def _make_failure_rows(results: Sequence[CameraResult], indexed: Indexed) -> list[tuple[str, str, str]]:
+    return sorted((one.file, one.finding.code, one.finding.text) for one in _list_left_out(results, indexed))
 
 
-def _left_out(results: Sequence[CameraResult], indexed: Indexed) -> list[Failure]:
+def _list_left_out(results: Sequence[CameraResult], indexed: Indexed) -> list[Failure]:
     by_day = {image.name for one in results for image in one.camera.images}
     night = [one for one in indexed.failures if one.finding.code == "file_at_night" and one.file in by_day]
     found = [*(one for one in indexed.failures if one not in night), *indexed.refused]
@@ -316,7 +325,7 @@ def _left_out(results: Sequence[CameraResult], indexed: Indexed) -> list[Failure
     return found
 
 
-def _epochs(result: CameraResult, documents: Mapping[tuple[str, str], Document]) -> list[Document]:
+def _make_epoch_rows(result: CameraResult, documents: Mapping[tuple[str, str], Document]) -> list[Document]:
     rows = []
     for number, epoch in enumerate(result.epochs):
         assert result.final is not None  # noqa: S101 - it has epochs
@@ -345,8 +354,8 @@ def _is_provisional(document: Document) -> bool:
     return document["uncertainty"].get("sigma_limit_deg") is not None
 
 
-def _camera(result: CameraResult, documents: Mapping[tuple[str, str], Document]) -> Document:
-    def accepted(looked: Looked) -> int:
+def _summarise_camera(result: CameraResult, documents: Mapping[tuple[str, str], Document]) -> Document:
+    def count_accepted(looked: Looked) -> int:
         return sum(isinstance(one, FoundSun) and one.accepted for one in looked.found)
 
     verdicts = Counter(one.verdict for one in result.looked.found if isinstance(one, FoundSun))
@@ -359,19 +368,19 @@ def _camera(result: CameraResult, documents: Mapping[tuple[str, str], Document])
         "images": len(result.camera.images),
         "size": list(result.camera.size),
         "times": {"by": result.camera.family, "example": list(result.camera.example)},
-        "accepted_first_pass": accepted(result.searched),
-        "accepted": accepted(result.looked),
+        "accepted_first_pass": count_accepted(result.searched),
+        "accepted": count_accepted(result.looked),
         "second_pass": {"found": pairs.count((False, True)), "refused": pairs.count((True, False))},
         "by_verdict": dict(verdicts.most_common()),
         "findings": [
             {**one.as_json(), "reason": one.sentence} for one in (*result.camera.findings, *result.rough.findings)
         ],
-        "nights": _nights(result),
+        "nights": _summarise_nights(result),
         "epochs": [_epoch_summary(result, n, documents) for n in range(len(result.epochs))],
     }
 
 
-def _nights(result: CameraResult) -> dict[str, int]:
+def _summarise_nights(result: CameraResult) -> dict[str, int]:
     named = list(result.nights.named())
     return {
         "nights": len(result.nights.nights.nights),
@@ -384,7 +393,7 @@ def _nights(result: CameraResult) -> dict[str, int]:
 
 def _epoch_summary(result: CameraResult, number: int, documents: Mapping[tuple[str, str], Document]) -> Document:
     document = documents[result.name, result.epoch_name(number)]
-    epoch, shown = _epochs(result, documents)[number], result.obstructions[number]
+    epoch, shown = _make_epoch_rows(result, documents)[number], result.obstructions[number]
     return {
         **epoch,
         "rmse_px": document["metrics"]["rmse_px"],
@@ -395,7 +404,7 @@ def _epoch_summary(result: CameraResult, number: int, documents: Mapping[tuple[s
     }
 
 
-def _refusal(failure: Failure) -> Document:
+def _make_refusal(failure: Failure) -> Document:
     return {"camera": failure.file, **failure.finding.as_json(), "reason": failure.finding.sentence}
 
 
@@ -416,20 +425,20 @@ def _write_exports(
             shutil.rmtree(former)
     keys = {name: content_key((software(), json.dumps(one))) for name, one in usable.items()}
     kept = {name: ledger.result(f"exports {folder.absolute()} {name}", key) for name, key in keys.items()}
-    new = [name for name, one in kept.items() if one is None or not _is_there(folder / name, one["files"])]
+    new = [name for name, one in kept.items() if one is None or not _is_folder_unchanged(folder / name, one["files"])]
     made = each(export_all_formats, [usable[name] for name in new]) if each is not None else []
     for name, one in zip(new, made, strict=True):
         files, refused = one or ({}, {"all": "the workers that made them died"})
         shutil.rmtree(folder / name, ignore_errors=True)
         for file, content in files.items():
-            _write(folder / name / file, content)
+            _write_whole(folder / name / file, content)
         kept[name] = {"files": {file: content_hash(content) for file, content in files.items()}, "refused": refused}
         if one is not None:
             ledger.keep_result(f"exports {folder.absolute()} {name}", keys[name], kept[name])
     return {name: kept[name]["refused"] for name in usable if kept[name]["refused"]}
 
 
-def _is_there(folder: Path, files: Mapping[str, str]) -> bool:
+def _is_folder_unchanged(folder: Path, files: Mapping[str, str]) -> bool:
     """Return whether a folder's files have the content that they were written with."""
     return all(
         is_regular(path := folder / name) and content_hash(read_regular(path)) == one for name, one in files.items()
@@ -455,7 +464,7 @@ def export_all_formats(document: Document) -> tuple[dict[str, bytes], dict[str, 
     return files, refused
 
 
-def _csv(header: Sequence[str], rows: Sequence[Sequence[object]]) -> bytes:
+def _encode_csv(header: Sequence[str], rows: Sequence[Sequence[object]]) -> bytes:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(header)
@@ -463,7 +472,7 @@ def _csv(header: Sequence[str], rows: Sequence[Sequence[object]]) -> bytes:
     return text.getvalue().encode()
 
 
-def _write(path: Path, content: bytes) -> None:
+def _write_whole(path: Path, content: bytes) -> None:
     """Write a file as a whole: a reader finds the former one or this."""
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_name(f".{path.name}.new")

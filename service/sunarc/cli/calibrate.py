@@ -271,7 +271,7 @@ def calibrate(
         raise InputError(field="--pose-only", problem="no lens to keep", remedy="name a calibration with --start")
     document = calibrate_file(
         _require_given(points, "POINTS"),
-        site=_site(config, *parse_angles(latitude, longitude), altitude, pressure, temperature),
+        site=_choose_site(config, *parse_angles(latitude, longitude), altitude, pressure, temperature),
         image_size=parse_image_size(_require_given(image_size, "--image-size")),
         options=CalibrationOptions(
             method=method,  # type: ignore[arg-type]
@@ -300,7 +300,7 @@ def calibrate(
     _print_result(document, plots, written, as_json=as_json)
 
 
-def _site(config: Path | None, *stated: float | None) -> Site:
+def _choose_site(config: Path | None, *stated: float | None) -> Site:
     """Return the site that the options state, in the order of its fields, and the settings where one does not."""
     names = [one.name for one in fields(Site)]
     given = {name: value for name, value in zip(names, stated, strict=True) if value is not None}

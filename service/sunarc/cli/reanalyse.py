@@ -115,10 +115,10 @@ def reanalyse_archive(
     """
     common = CameraPlan(
         name="camera",
-        site=_site(*parse_angles(latitude, longitude), altitude, cameras, calibration),
+        site=_choose_site(*parse_angles(latitude, longitude), altitude, cameras, calibration),
         selector=Selector(tuple(one if "://" in one else name_text(one) for one in sources or ())),
         rules=TimeRules(
-            _common_pattern(time_pattern),
+            _find_common_pattern(time_pattern),
             None if utc_offset is None else parse_utc_offset(utc_offset, field="--utc-offset"),
         ),
         image_size=None if image_size is None else parse_image_size(image_size),
@@ -135,12 +135,12 @@ def reanalyse_archive(
     stated = (("latitude", latitude or calibration), ("longitude", longitude or calibration))
     missing = [name for name, given in stated if given is None]
     if cameras is None:
-        plans = _plans(common, follow_exif=follow_exif)
+        plans = _make_plans(common, follow_exif=follow_exif)
     else:
         plans = read_cameras(cameras, common=common, required=missing, follow_exif=follow_exif)
     plans = _assign_patterns(plans, time_pattern or [])
     indexed = index_archive(plans)
-    _confirm(indexed, yes=yes)
+    _confirm_cameras(indexed, yes=yes)
     options = ReanalysisOptions(
         target=target,
         store=store,
@@ -153,7 +153,7 @@ def reanalyse_archive(
     if as_json:
         print_json(summary.report)
     else:
-        _print(summary, target)
+        _print_summary(summary, target)
     epochs = [one["epochs"] for one in summary.report["cameras"]]
     if (
         indexed.refused
@@ -165,7 +165,7 @@ def reanalyse_archive(
         raise typer.Exit(1)
 
 
-def _site(
+def _choose_site(
     latitude: float | None, longitude: float | None, altitude: float, cameras: Path | None, calibration: Path | None
 ) -> Site:
     if latitude is None and longitude is None and calibration is not None:
@@ -176,7 +176,7 @@ def _site(
     return Site(latitude=latitude or 0.0, longitude=longitude or 0.0, altitude=altitude)
 
 
-def _plans(common: CameraPlan, *, follow_exif: bool) -> list[CameraPlan]:
+def _make_plans(common: CameraPlan, *, follow_exif: bool) -> list[CameraPlan]:
     """Return one camera for each source, by the source's name; sources that differ by their dates alone are one."""
     if not common.selector.sources:
         raise InputError(field="SOURCE", problem="missing", remedy="name a folder or archive, or give --cameras FILE")
@@ -196,7 +196,7 @@ def _parse_camera_pattern(given: str) -> tuple[str, str]:
     return camera, checked_pattern(pattern, field="--time-pattern")
 
 
-def _common_pattern(given: list[str] | None) -> str | None:
+def _find_common_pattern(given: list[str] | None) -> str | None:
     """Return the pattern that is for all cameras."""
     found = [pattern for name, pattern in map(_parse_camera_pattern, given or []) if not name]
     if len(found) > 1:
@@ -220,7 +220,7 @@ def _assign_patterns(plans: list[CameraPlan], given: Sequence[str]) -> list[Came
     ]
 
 
-def _confirm(indexed: Indexed, *, yes: bool) -> None:
+def _confirm_cameras(indexed: Indexed, *, yes: bool) -> None:
     """Show whose the images are and how their times were read, and ask whether that is right.
 
     Raises
@@ -255,7 +255,7 @@ def _report_cluster(cluster: Cluster) -> None:
     print(f"workers: {place}; Dask's dashboard: {cluster.dashboard}", file=sys.stderr)
 
 
-def _print(summary: Summary, target: Path) -> None:
+def _print_summary(summary: Summary, target: Path) -> None:
     rows: list[Sequence[object]] = []
     for one in summary.report["cameras"]:
         for finding in one["findings"]:

@@ -199,7 +199,7 @@ def updated_sums(
         return _count_use(sums, "earlier")
     counts = _reduce_to_cells(image, grid.shape)
     light = _log_light(counts, gamma=_GAMMA if image.dtype == np.uint8 else 1.0)
-    coarse = _cells(cv2.resize(light, (64, 64), interpolation=cv2.INTER_AREA))
+    coarse = _to_cells(cv2.resize(light, (64, 64), interpolation=cv2.INTER_AREA))
     unusable = _find_fault(counts, coarse, sums, grid)
     fading = np.float32(0.5 ** (elapsed_s / _HALF_LIFE_S))
     kept = replace(sums, log_odds=sums.log_odds * fading, last=coarse, unix_s=unix_s)
@@ -230,7 +230,7 @@ def add_star_votes(sums: ObstructionSums, grid: CellGrid, *, named: FloatArray, 
         for directions, size in ((named, 3), (named, 9), (missed, 5))
     )
     votes = _MISSED_STAR * (hidden & ~near & grid.sky) - _NAMED_STAR * free
-    return replace(sums, log_odds=_add_votes(sums.log_odds, _cells(votes), most=_MOST_CLOUDY_ODDS))
+    return replace(sums, log_odds=_add_votes(sums.log_odds, _to_cells(votes), most=_MOST_CLOUDY_ODDS))
 
 
 def _add_votes(odds: Cells, votes: Cells, *, most: float) -> Cells:
@@ -266,10 +266,10 @@ def _reduce_to_cells(image: Image, shape: tuple[int, int]) -> Cells:
         cells = cv2.resize(cells, (cells.shape[1] // 2, cells.shape[0] // 2), interpolation=cv2.INTER_AREA)
     cells = cv2.resize(cells, shape[::-1], interpolation=cv2.INTER_AREA)
     grey = cv2.cvtColor(cells, cv2.COLOR_BGR2GRAY) if cells.ndim == 3 else cells
-    return _cells(grey) / np.float32(np.iinfo(image.dtype).max)
+    return _to_cells(grey) / np.float32(np.iinfo(image.dtype).max)
 
 
-def _cells(values: ArrayLike) -> Cells:
+def _to_cells(values: ArrayLike) -> Cells:
     return np.asarray(values, dtype=np.float32)
 
 
@@ -289,7 +289,7 @@ def _compute_texture(light: Cells, counts: Cells) -> Cells:
     """Return the fine part of the log brightness, 0 where cells saturate."""
     fine = np.clip(light - cv2.blur(light, (3, 3)), -0.5, 0.5)
     saturated = cv2.dilate((counts > _SATURATED).astype(np.uint8), np.ones((5, 5), np.uint8))
-    return _cells(fine * (saturated == 0))
+    return _to_cells(fine * (saturated == 0))
 
 
 def _is_other_scene(texture: Cells, sums: ObstructionSums, grid: CellGrid) -> bool:
@@ -309,7 +309,7 @@ def _vote(
     sums: ObstructionSums, image: _CellImage, grid: CellGrid, *, sun: FloatArray, vote: float, sun_seen: bool | None
 ) -> ObstructionSums:
     """Return the evidence with the votes of a usable image."""
-    towards = _cells(np.tensordot(sun.astype(np.float32), grid.directions, 1))
+    towards = _to_cells(np.tensordot(sun.astype(np.float32), grid.directions, 1))
     contrast, spread = _measure_contrast(image.light, sums, grid, towards)
     seen = sun_seen if sun_seen is not None else _sun_is_seen(image, grid, towards)
     odds_at_sun = float(sums.log_odds.flat[int(np.argmax(towards))])
@@ -355,7 +355,7 @@ def _score_cells(contrast: Cells, still: Cells, *, shows_sky: bool) -> Cells:
     if shows_sky:
         fading = np.clip((_BRIGHT + _BRIGHT_WIDTH - contrast) / _BRIGHT_WIDTH, 0.2, 1.0)
         scores += np.minimum(dark, 0.0) * fading * (1.0 - still)
-    return _cells(scores)
+    return _to_cells(scores)
 
 
 def _sky_planes(directions: Cells, towards: Cells) -> Iterator[Cells]:
@@ -415,7 +415,7 @@ def _measure_stillness(texture: Cells, sums: ObstructionSums) -> Cells:
     agreement = cv2.blur(now, (3, 3)) / (energy + 1e-4)
     still = np.clip(np.sqrt(energy) / _STATIC - 1.0, 0.0, 1.0) * np.clip(2.0 * agreement - 0.5, 0.0, 1.0)
     narrowed = cv2.erode(still, np.ones((5, 5), np.uint8))  # what the means have widened
-    return _cells(cv2.resize(narrowed, texture.shape[::-1], interpolation=cv2.INTER_LINEAR))
+    return _to_cells(cv2.resize(narrowed, texture.shape[::-1], interpolation=cv2.INTER_LINEAR))
 
 
 # The mask of the evidence.
@@ -576,7 +576,7 @@ def carried_over(sums: ObstructionSums, camera: Camera, grid: CellGrid) -> Obstr
 
 def carried_states(states: States, camera: Camera, grid: CellGrid) -> States:
     """Return states of a camera's former pose for its new one; unknown near borders, since poses have errors."""
-    carried = np.rint(_at_former_pose(_cells(states) - UNKNOWN, camera, grid) + UNKNOWN).astype(np.uint8)
+    carried = np.rint(_at_former_pose(_to_cells(states) - UNKNOWN, camera, grid) + UNKNOWN).astype(np.uint8)
     lowest, highest = (change(carried, np.ones((7, 7), np.uint8)) for change in (cv2.erode, cv2.dilate))
     return np.where(lowest == highest, carried, np.uint8(UNKNOWN))
 
@@ -589,7 +589,9 @@ def _at_former_pose(values: Cells, camera: Camera, grid: CellGrid) -> Cells:
 def sampled_cells(values: Cells, pixels: FloatArray, camera: Camera) -> Cells:
     """Return values of cells (rows, columns) at pixels (..., ..., 2), between cells linearly; 0 outside the image."""
     scale = np.array([values.shape[1] / camera.width, values.shape[0] / camera.height])
-    at = _cells(np.nan_to_num((pixels + 0.5) * scale - 0.5, nan=-9.0))
+    at = _to_cells(np.nan_to_num((pixels + 0.5) * scale - 0.5, nan=-9.0))
     columns, rows = np.ascontiguousarray(at[..., 0]), np.ascontiguousarray(at[..., 1])
-    found = cv2.remap(_cells(values), columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0.0)
-    return _cells(found)
+    found = cv2.remap(
+        _to_cells(values), columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0.0
+    )
+    return _to_cells(found)

@@ -45,8 +45,8 @@ def combined_lens(documents: Sequence[dict[str, Any]], files: Sequence[Path], *,
         named twice, or two are of different types of lens.
     """
     units: dict[str, Unit] = {}
-    for document in (*documents, *map(_json, files)):
-        unit = _unit(document)
+    for document in (*documents, *map(_read_json, files)):
+        unit = _make_unit(document)
         if unit.camera in units:
             raise InputError(
                 field=unit.camera, problem="two calibrations of one camera", remedy="name its best one, or fit --joint"
@@ -55,7 +55,7 @@ def combined_lens(documents: Sequence[dict[str, Any]], files: Sequence[Path], *,
     return estimate_lens_type(list(units.values()), spread=spread)
 
 
-def _unit(document: dict[str, Any]) -> Unit:
+def _make_unit(document: dict[str, Any]) -> Unit:
     calibration = from_document(document)
     name = str(document.get("camera", ""))
     if not calibration.verdict.accepted:
@@ -69,7 +69,7 @@ def _unit(document: dict[str, Any]) -> Unit:
     return Unit(name, calibration)
 
 
-def _json(path: Path) -> Any:  # noqa: ANN401 - JSON holds anything
+def _read_json(path: Path) -> Any:  # noqa: ANN401 - JSON holds anything
     try:
         return json.loads(read_file(path))
     except (ValueError, RecursionError):
@@ -212,7 +212,9 @@ def read_joint_spec(path: Path) -> JointSpec:
     _refuse_unknown(path.name, tables, _COMMON)
     if not isinstance(entries, list) or not entries:
         raise InputError(field=path.name, problem="names no entry", remedy="give [[entry]] with camera and file")
-    found = [_entry(f"{path.name}, entry {number}", one, tables, path.parent) for number, one in enumerate(entries, 1)]
+    found = [
+        _parse_entry(f"{path.name}, entry {number}", one, tables, path.parent) for number, one in enumerate(entries, 1)
+    ]
     names = [(entry.camera, entry.epoch) for entry, _ in found]
     for camera, epoch in names:
         if names.count((camera, epoch)) > 1:
@@ -221,11 +223,11 @@ def read_joint_spec(path: Path) -> JointSpec:
                 problem=f"two entries of the epoch {epoch!r}",
                 remedy="name the epochs differently",
             )
-    between = None if spread is None else _converted(f"{path.name}, spread", UnitSpread, spread)
+    between = None if spread is None else _convert_value(f"{path.name}, spread", UnitSpread, spread)
     return JointSpec([entry for entry, _ in found], [clock_error_s for _, clock_error_s in found], between)
 
 
-def _entry(where: str, given: object, common: Mapping[str, Any], folder: Path) -> tuple[Entry, float | None]:
+def _parse_entry(where: str, given: object, common: Mapping[str, Any], folder: Path) -> tuple[Entry, float | None]:
     """Return an entry, and the bound of its clock by the column clock_error_s, s; None without that column."""
     if not isinstance(given, dict):
         raise InputError(field=where, problem="is not a table", remedy="give [[entry]] with camera and file")
@@ -238,18 +240,18 @@ def _entry(where: str, given: object, common: Mapping[str, Any], folder: Path) -
     for key in ("file", "latitude", "longitude", "image_size"):
         if key not in values:
             raise InputError(field=f"{where}, {key}", problem="missing", remedy="give it here or once for all")
-    size = _converted(f"{where}, image_size", lambda w, h: (int(w), int(h)), values["image_size"])
+    size = _convert_value(f"{where}, image_size", lambda w, h: (int(w), int(h)), values["image_size"])
     of_site = {"altitude": 0.0} | {key: values[key] for key in _SITE if key in values}
     of_fit = {key: values[key] for key in _FIT if key in values}
-    site = _converted(where, Site, of_site)
-    options = _converted(where, CalibrationOptions, of_fit)
+    site = _convert_value(where, Site, of_site)
+    options = _convert_value(where, CalibrationOptions, of_fit)
     points, clock_error_s = without_clock_column(read_points(folder / str(values["file"]), site), None)
     require_inside(points.pixels, size, name=Path(str(values["file"])).name)
     entry = Entry(camera=camera, epoch=epoch, points=points, site=site, image_size=size, options=options)
     return entry, clock_error_s
 
 
-def _converted(where: str, convert: Any, given: Any) -> Any:  # noqa: ANN401 - TOML holds anything
+def _convert_value(where: str, convert: Any, given: Any) -> Any:  # noqa: ANN401 - TOML holds anything
     """Return the value of a table or a list of TOML; InputError where it has none."""
     try:
         return convert(**given) if isinstance(given, dict) else convert(*given)

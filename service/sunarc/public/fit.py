@@ -99,19 +99,19 @@ def calibrate(
             site=site.place,
             image_size=check_image_size(image_size),
             options=options,
-            circle=_circle(image_circle),
+            circle=_make_circle(image_circle),
             start=None if begin is None else begin.as_start(),
             pose_only=pose_only,
-            within=_tolerances(
+            within=_make_tolerances(
                 lens_within_px, pose_within_deg, focal_within, usable=begin is not None and not pose_only
             ),
             keep_provisional=provisional,
-            clock_error_s=_clock_bound(stated["clock_error_s"]),
+            clock_error_s=_require_clock_bound(stated["clock_error_s"]),
         )
-    return _made(solved, fitted, sightings, name=name or sightings.name)
+    return _make_calibration(solved, fitted, sightings, name=name or sightings.name)
 
 
-def _circle(given: object) -> ImageCircle | None:
+def _make_circle(given: object) -> ImageCircle | None:
     """Return the image circle; InputError where it is no circle."""
     if given is None:
         return None
@@ -121,7 +121,7 @@ def _circle(given: object) -> ImageCircle | None:
     return ImageCircle(x=float(found[0]), y=float(found[1]), radius=float(found[2]))
 
 
-def _tolerances(
+def _make_tolerances(
     lens_px: float | None, pose_deg: float | None, focal_length: float | None, *, usable: bool
 ) -> PriorTolerances | None:
     """Return the tolerances of a start that is a prior; None where none is stated."""
@@ -135,14 +135,14 @@ def _tolerances(
     return PriorTolerances(lens_px=number(lens_px, field="lens_within_px"), pose_deg=pose, focal_length=focal)
 
 
-def _clock_bound(seconds: float | None) -> float | None:
+def _require_clock_bound(seconds: float | None) -> float | None:
     if seconds is not None and not 0.0 <= seconds <= DAY_S:
         problem = f"{seconds:g} s is not within 0 to {DAY_S:g}"
         raise InputError(field="clock_error_s", problem=problem, remedy="give the bound of the clock's error in s")
     return seconds
 
 
-def _made(solved: Solved, points: Points, sightings: Sightings, *, name: str) -> Calibration:
+def _make_calibration(solved: Solved, points: Points, sightings: Sightings, *, name: str) -> Calibration:
     """Return a calibration that was fitted now."""
     now = datetime.now(UTC)  # noqa: TID251 - a notebook's calibration is dated by the machine
     document = new_document(solved, latest_times(points), created_at=now, camera=name)

@@ -52,7 +52,7 @@ def learner_of(made: Made, day: tuple[World, list[np.ndarray]], folder: Path) ->
     found = ObstructionLearner(camera, folder / "obstructions.npz")
     of_world = model_of(made, world)
     vars(found)["_find_known"] = lambda calibration: of_world if calibration else None
-    found._follow("second", of_world)
+    found._follow_calibration("second", of_world)
     found._calibration = learner_record(made)
     return found
 
@@ -153,9 +153,9 @@ def test_a_bump_is_no_obstruction_and_a_crane_after_it_is_one(
             since_h = (time - noon).total_seconds() / 3600.0
             image = world.frame(time, "clear", crane=k in (5, 6, 7))
             if 1.0 < since_h < 1.5:  # the first pose after a few suns errs by 0.3 degrees, that of the day by little
-                learner._follow("provisional", poses[2.2])
+                learner._follow_calibration("provisional", poses[2.2])
             if 20.0 < since_h < 20.5:
-                learner._follow("third", poses[2.5])
+                learner._follow_calibration("third", poses[2.5])
             learner._calibration = learner_record(made)
             learner.take(world.bumped(image, turned[2.5]) if since_h > 0.0 else image, time)
         if k == 4:

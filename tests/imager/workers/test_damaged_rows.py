@@ -254,12 +254,16 @@ def test_a_refit_that_finds_nothing_new_replaces_a_damaged_calibration(
     none = Sightings.of(unix_s=np.empty(0), pixels=np.empty((0, 2)))
     task = cast("RefitTask", SimpleNamespace(pose_epoch="roof-1", problem=SimpleNamespace(points=none)))
     archive = open_archive(path)
-    verdict = refit_worker(archive, board, clock)._verdict(task, calibration(), archive.calibrations.current("roof"))
+    verdict = refit_worker(archive, board, clock)._make_verdict(
+        task, calibration(), archive.calibrations.current("roof")
+    )
     archive.close()
     assert (verdict.accepted, verdict.marginal) == (False, True)
     flip(path, "calibration", "document", where="id = 'third'", byte=40)
     archive = open_archive(path)
-    verdict = refit_worker(archive, board, clock)._verdict(task, calibration(), archive.calibrations.current("roof"))
+    verdict = refit_worker(archive, board, clock)._make_verdict(
+        task, calibration(), archive.calibrations.current("roof")
+    )
     archive.close()
     assert verdict.accepted
     assert verdict.findings[0].code == "replaces_damaged"

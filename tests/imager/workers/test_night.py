@@ -297,7 +297,7 @@ def test_stars_behind_an_obstruction_are_not_missed_and_those_never_found_show_o
 ) -> None:
     bench.serve(CAMERA)
     learner = ObstructionLearner(bench.camera, tmp_path / "obstructions.npz")
-    learner._follow("day", calibration_of(CAMERA))
+    learner._follow_calibration("day", calibration_of(CAMERA))
     bench.worker.obstructions = learner
     grid, sums = learner._grid, learner._sums
     assert grid is not None

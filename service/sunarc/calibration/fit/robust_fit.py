@@ -183,17 +183,17 @@ def robust_rounds(
     """
     plain = np.concatenate([plain, np.zeros(problem.n_unit)])
     for name in sorted(problem.names & {*SEASONS, TURNING, SWAYS}):
-        plain = _begun(problem, observed, plain, name)
+        plain = _estimate_block(problem, observed, plain, name)
     if PICTURE in problem.names:
-        plain = _begun_with_camera(problem, observed, plain)
-    state = _add_proven_effects(_rounds(problem, observed, plain, grid, groups))
+        plain = _estimate_picture_change(problem, observed, plain)
+    state = _add_proven_effects(_run_rounds(problem, observed, plain, grid, groups))
     # weighed before the camera's last step, which may bring the edge of what it shows past a low sun
     noise, shown = state.noise, is_shown(state.residual)
     noise = replace(noise, weight=noise.weight * shown, information=noise.information * shown)
     return replace(state, noise=noise)
 
 
-def _begun(problem: FitProblem, observed: Sightings, unknowns: FloatArray, name: str) -> FloatArray:
+def _estimate_block(problem: FitProblem, observed: Sightings, unknowns: FloatArray, name: str) -> FloatArray:
     """Return unknowns with a block as it seems to be by the residuals.
 
     Where the rounds begin without, residuals that are alike for a day or a season are noise that hides the block.
@@ -209,7 +209,7 @@ def _begun(problem: FitProblem, observed: Sightings, unknowns: FloatArray, name:
     return begun
 
 
-def _begun_with_camera(problem: FitProblem, observed: Sightings, unknowns: FloatArray) -> FloatArray:
+def _estimate_picture_change(problem: FitProblem, observed: Sightings, unknowns: FloatArray) -> FloatArray:
     """Return unknowns at which the days before another picture are met as well as those since."""
     precision = prior_precision(problem.size, LOOSE_RADIAL_PX, LOOSE_DECENTERING_PX, n_unit=problem.n_unit)
     for _ in range(_PASSES):
@@ -222,7 +222,7 @@ def _begun_with_camera(problem: FitProblem, observed: Sightings, unknowns: Float
     return unknowns
 
 
-def _rounds(
+def _run_rounds(
     problem: FitProblem, observed: Sightings, plain: FloatArray, grid: HyperparameterGrid, groups: NoiseGroups
 ) -> FitState:
     """Return the rounds' answer.
@@ -363,17 +363,17 @@ def fit_robustly(
     """
     problem = single_problem(observed, cameras[0], options, circle, n_epochs=len(cameras))
     groups = NoiseGroups.of(observed)
-    fit = _fitted(problem, observed, problem.unknowns(cameras), groups, options)
+    fit = _fit_with_lens_prior(problem, observed, problem.unknowns(cameras), groups, options)
     if not proves(PIXELS, fit.block_odds.get(PIXELS, 0.0)):
         return fit
     wide = replace(problem, prior=free_pixel_aspect(problem.prior))
     start = wide.unknowns([fit.problem.camera(fit.unknowns, epoch) for epoch in range(problem.n_epochs)])
     start[STRETCH] += fit.unknowns[fit.problem.block_slice(PIXELS)]
-    again = _fitted(wide, observed, start, groups, options)
+    again = _fit_with_lens_prior(wide, observed, start, groups, options)
     return replace(again, block_odds={**again.block_odds, PIXELS: fit.block_odds[PIXELS]})
 
 
-def _fitted(
+def _fit_with_lens_prior(
     problem: FitProblem, observed: Sightings, start: FloatArray, groups: NoiseGroups, options: CalibrationOptions
 ) -> FitState:
     """Return the fit with the lens's prior as it is."""
@@ -434,7 +434,7 @@ def part_log_odds(normal: NormalEquations, basis: WaveBasis, scales: PriorScales
     fit = marginal_fit(normal, basis, scales)
     precision = normal.prior_precision(scales.radial_px, scales.decentering_px)
     odds = {name: log_bayes_factor(fit, precision, np.arange(part.start, part.stop)) for name, part in _PARTS.items()}
-    return {**odds, "radial_terms": float(_radial_terms(fit, precision))}
+    return {**odds, "radial_terms": float(_count_radial_terms(fit, precision))}
 
 
 def log_bayes_factor(fit: MarginalFit, precision: FloatArray, part: IntArray) -> float:
@@ -444,7 +444,7 @@ def log_bayes_factor(fit: MarginalFit, precision: FloatArray, part: IntArray) ->
     return float(0.5 * (mean @ np.linalg.solve(covariance, mean) + sharpness))
 
 
-def _radial_terms(fit: MarginalFit, precision: FloatArray) -> int:
+def _count_radial_terms(fit: MarginalFit, precision: FloatArray) -> int:
     """Return the least number of radial shapes beyond which the odds of all others together are below 3 to 1."""
     # the last column of the prior's basis is its largest shape
     for count in range(RADIAL.stop - RADIAL.start):

@@ -110,7 +110,7 @@ def tilt_question(camera: Camera, site: Site) -> Finding | None:
     if tilt <= LEVEL_DEG:
         return None
     level = level_place(camera, site)
-    best = max(_explanations(level, Place(site.latitude, site.longitude)), key=lambda one: one.density)
+    best = max(_list_explanations(level, Place(site.latitude, site.longitude)), key=lambda one: one.density)
     axis = rotation_matrix(camera.rotation_cam_enu)[2]
     data = {
         "tilt_deg": tilt,
@@ -135,7 +135,7 @@ def tilt_question(camera: Camera, site: Site) -> Finding | None:
     return Finding(best.code, data)
 
 
-def _explanations(level: Place, stated: Place) -> Iterator[_Explanation]:
+def _list_explanations(level: Place, stated: Place) -> Iterator[_Explanation]:
     """Yield the mistakes by which a place may have been stated in place of the one where the camera is level.
 
     One that leaves the camera tilted by more than a levelled one is explains nothing.

@@ -129,31 +129,31 @@ class ObstructionLearner:
             if self._sums is not None and 0.0 <= unix_s - self._sums.unix_s < _EVERY_S:
                 return
             try:
-                self._take(image, time)
+                self._use_image(image, time)
             except (InputError, OutsideError, OSError) as error:
                 _log.warning("an image could not be used for the obstruction mask: %s", error)
 
-    def _take(self, image: Image, time: datetime) -> None:
+    def _use_image(self, image: Image, time: datetime) -> None:
         archive = self._camera.archive.calibrations
         record = archive.current(self._camera.name)
         if record is None:
             return
         if record.id != self._calibration:
-            self._follow(record.id, archive.model(record.id))
+            self._follow_calibration(record.id, archive.model(record.id))
             self._pose_epoch = record.pose_epoch or ""
         if self._sums is None or self._grid is None or self._model is None:
             return
         sun = np.asarray(sun_directions(time.timestamp(), self._camera.site))
         self._sums = updated_sums(self._sums, image, self._grid, sun=sun, unix_s=time.timestamp())
         if abs(time.timestamp() - self._written_s) >= _MASK_EVERY_S or (self._learned is None and self._sums.is_ready):
-            self._renew(time)
+            self._renew_mask(time)
 
-    def _follow(self, calibration: str, model: Calibration) -> None:
+    def _follow_calibration(self, calibration: str, model: Calibration) -> None:
         """Take a new calibration; after a turn of the camera the evidence is carried over by directions."""
         grid = cell_grid(model.camera)
         sums = self._sums
         if sums is None:
-            calibration_before, sums, self._known = _read(self._path)
+            calibration_before, sums, self._known = _read_sums(self._path)
             before = self._find_known(calibration_before)
         else:
             before = self._model
@@ -172,7 +172,7 @@ class ObstructionLearner:
         except InputError:
             return None
 
-    def _renew(self, time: datetime) -> None:
+    def _renew_mask(self, time: datetime) -> None:
         """Make the mask anew, store the sums, and write the events of its changes."""
         sums, grid, model = self._sums, self._grid, self._model
         if sums is None or grid is None or model is None:
@@ -185,7 +185,7 @@ class ObstructionLearner:
             if is_first:
                 self._set_aside_before(time)
             self._compare(mask, time)
-        write_atomically(self._path, _bytes(self._calibration, sums, self._known))
+        write_atomically(self._path, _encode_sums(self._calibration, sums, self._known))
 
     def _compare(self, mask: ObstructionMask, time: datetime) -> None:
         """Write the events of changes that this mask and one of a day before show: a move is found within a day."""
@@ -194,7 +194,7 @@ class ObstructionLearner:
             lasting = np.where(mask.state == known.seen, mask.state, np.uint8(UNKNOWN))
             changes, states = mask_changes(known.states, replace(mask, state=lasting))
             for change in changes:
-                self._camera.add_event(_finding(change), time=time, severity="info")
+                self._camera.add_event(_change_finding(change), time=time, severity="info")
             known = _KnownStates(states, mask.state, time.timestamp())
         self._known = known
 
@@ -215,7 +215,7 @@ class _KnownStates(NamedTuple):
     unix_s: float
 
 
-def _finding(change: Change) -> Finding:
+def _change_finding(change: Change) -> Finding:
     data = {name: round(value, 1) for name, value in change._asdict().items() if name != "appeared"}
     return Finding("obstruction_appeared", data) if change.appeared else Finding("obstruction_gone", data)
 
@@ -234,7 +234,7 @@ def _turn_deg(before: Calibration, after: Calibration) -> float:
 _ARRAYS = ("log_odds", "texture", "contrast", "last")
 
 
-def _bytes(calibration: str, sums: ObstructionSums, known: _KnownStates | None) -> bytes:
+def _encode_sums(calibration: str, sums: ObstructionSums, known: _KnownStates | None) -> bytes:
     plain = {one.name: getattr(sums, one.name) for one in fields(sums) if one.name not in _ARRAYS}
     plain["counts"] = dict(sums.counts)
     arrays = {name: getattr(sums, name).astype(np.float16) for name in _ARRAYS}
@@ -246,7 +246,7 @@ def _bytes(calibration: str, sums: ObstructionSums, known: _KnownStates | None) 
     return content.getvalue()
 
 
-def _read(path: Path) -> tuple[str, ObstructionSums | None, _KnownStates | None]:
+def _read_sums(path: Path) -> tuple[str, ObstructionSums | None, _KnownStates | None]:
     """Return the calibration, the sums and the known states of a file; None without a sound one."""
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:

@@ -106,13 +106,13 @@ def describe(app: FastAPI) -> None:
 
     def document() -> dict[str, Any]:
         if app.openapi_schema is None:
-            app.openapi_schema = _document(app)
+            app.openapi_schema = _make_openapi(app)
         return app.openapi_schema
 
     app.openapi = document  # type: ignore[method-assign]  # FastAPI's own way to do this
 
 
-def _document(app: FastAPI) -> dict[str, Any]:
+def _make_openapi(app: FastAPI) -> dict[str, Any]:
     document = get_openapi(title=app.title, version=app.version, description=_DESCRIPTION, routes=app.routes)
     template = "#/components/schemas/{model}"
     _, others = models_json_schema([*_OTHERS], ref_template=template)
@@ -124,7 +124,7 @@ def _document(app: FastAPI) -> dict[str, Any]:
     for path in document["paths"].values():
         for operation in path.values():
             operation["summary"] = operation["description"].partition("\n")[0].removesuffix(".")
-            _only_problems(operation["responses"])
+            _replace_error_answers(operation["responses"])
             _describe_bytes(operation["responses"])
     used = {tag for path in document["paths"].values() for one in path.values() for tag in one.get("tags", ())}
     document["tags"] = [{"name": name, "description": _TAGS[name]} for name in sorted(used)]
@@ -140,7 +140,7 @@ def _describe_bytes(responses: dict[str, Any]) -> None:
             content.setdefault("schema", described)
 
 
-def _only_problems(responses: dict[str, Any]) -> None:
+def _replace_error_answers(responses: dict[str, Any]) -> None:
     """Replace FastAPI's own answer to invalid requests, and add the ones that any route may give."""
     if "HTTPValidationError" in str(responses.get("422", "")):
         responses["422"] = problems.answers(422)[422]

@@ -199,13 +199,13 @@ class ComputeSlots:
     @asynccontextmanager
     async def slot(self, client: str | None) -> AsyncIterator[None]:
         """Wait for a slot, and hold it. On the event loop alone."""
-        await self._take(client)
+        await self._wait_for_slot(client)
         try:
             yield
         finally:
-            self._leave()
+            self._release_slot()
 
-    async def _take(self, client: str | None) -> None:
+    async def _wait_for_slot(self, client: str | None) -> None:
         if self._free:
             self._free -= 1
             return
@@ -215,10 +215,10 @@ class ComputeSlots:
             await waiter
         except asyncio.CancelledError:
             if waiter.done() and not waiter.cancelled():
-                self._leave()  # it was handed a slot in the same moment
+                self._release_slot()  # it was handed a slot in the same moment
             raise
 
-    def _leave(self) -> None:
+    def _release_slot(self) -> None:
         """Pass the slot on to the next waiting address."""
         while self._waiting:
             client, waiters = self._waiting.popitem(last=False)
@@ -296,7 +296,7 @@ async def compute(computation: Computation, slots: ComputeSlots, question: Quest
     context, request = question.context, question.request
     media_type = request.headers.get("content-type", _JSON).partition(";")[0].strip().lower()
     if media_type == NPY:
-        return await _rows(computation, slots, question)
+        return await _answer_rows(computation, slots, question)
     if media_type != _JSON:
         fault = Fault(field="content-type", problem=f"{media_type!r} is not read here", remedy=f"send {_JSON} or {NPY}")
         raise RefusedError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, fault)
@@ -308,12 +308,12 @@ async def compute(computation: Computation, slots: ComputeSlots, question: Quest
             ready = None if record is None else context.ready.cached_value(record)
             if record is not None and ready is not None:
                 now = Answering(context=context, record=record, ready=ready, time=context.frame_clock())
-                return _json(computation, question, body, now)
-        return await run_in_threadpool(_json, computation, question, body)
+                return _answer_json(computation, question, body, now)
+        return await run_in_threadpool(_answer_json, computation, question, body)
     client = client_network(request.scope)
     slots.require_room(client)
     async with slots.slot(client):
-        answer = await run_in_threadpool(_json, computation, question, body)
+        answer = await run_in_threadpool(_answer_json, computation, question, body)
     request.state.use.grow(len(answer.body))
     return answer
 
@@ -349,22 +349,22 @@ def row_responses(columns: Sequence[str]) -> Responses:
     return described_answer(text, [NPY], headers=headers)
 
 
-def _json(computation: Computation, question: Question, body: bytes, now: Answering | None = None) -> Response:
+def _answer_json(computation: Computation, question: Question, body: bytes, now: Answering | None = None) -> Response:
     most = question.context.options.max_points
     rows = computation.read(body, most)
     require_few(len(rows) * question.draws, most=most, field="draws")
-    answering = now or _answering(computation, question, rows)
+    answering = now or _find_answering(computation, question, rows)
     table, drawn = computation.answer, computation.drawn
     answer = {"calibration": answering.record.id} | table.as_json(answering, table.compute(answering, rows))
     if question.draws:
-        ensemble = _ensemble(answering, question)
+        ensemble = _make_ensemble(answering, question)
         draws = np.array([drawn.compute(answering, ensemble, draw, rows) for draw in ensemble], dtype=np.float64)
         answer["draws"] = drawn.as_json(answering, draws)
     content = to_json(answer, inf_nan_mode="null")
-    return Response(content, media_type=_JSON, headers=_calibrations(answering))
+    return Response(content, media_type=_JSON, headers=_make_calibration_header(answering))
 
 
-async def _rows(computation: Computation, slots: ComputeSlots, question: Question) -> Response:
+async def _answer_rows(computation: Computation, slots: ComputeSlots, question: Question) -> Response:
     request, most = question.request, question.context.options.max_rows
     client = client_network(request.scope)
     slots.require_room(client)
@@ -377,28 +377,28 @@ async def _rows(computation: Computation, slots: ComputeSlots, question: Questio
     table = computation.drawn if question.draws else computation.answer
     width = len(table.columns)
     request.state.use.grow(bytes_ahead(rows, width) + (rows.nbytes if rows.flags.owndata else 0))
-    answering = await run_in_threadpool(_answering, computation, question, rows)
+    answering = await run_in_threadpool(_find_answering, computation, question, rows)
     answers: list[Callable[[Rows], Rows]] = [partial(table.compute, answering)]
     if question.draws:
-        ensemble = await run_in_threadpool(_ensemble, answering, question)
+        ensemble = await run_in_threadpool(_make_ensemble, answering, question)
         answers = [partial(table.compute, answering, ensemble, draw) for draw in ensemble]
     return rows_response(
         rows,
         answers,
         draws=question.draws,
         width=width,
-        headers=_calibrations(answering) | {"sunarc-columns": ",".join(table.columns)},
+        headers=_make_calibration_header(answering) | {"sunarc-columns": ",".join(table.columns)},
         slot=partial(slots.slot, client),
     )
 
 
-def _ensemble(answering: Answering, question: Question) -> Ensemble:
+def _make_ensemble(answering: Answering, question: Question) -> Ensemble:
     """Return the draws that are asked for."""
     sampling = Sampling(calibration=answering.record, draws=question.draws, seed=question.seed)
     return answering.context.ensembles.get(sampling)
 
 
-def _answering(computation: Computation, question: Question, rows: Rows) -> Answering:
+def _find_answering(computation: Computation, question: Question, rows: Rows) -> Answering:
     """Return the answering calibrations: for the time of each row where it has one, else for the request's."""
     times = computation.times(rows)
     if times is None or not len(times):
@@ -410,5 +410,5 @@ def _answering(computation: Computation, question: Question, rows: Rows) -> Answ
     return answering_each(question.context, question.request, times)
 
 
-def _calibrations(answering: Answering) -> dict[str, str]:
+def _make_calibration_header(answering: Answering) -> dict[str, str]:
     return {"sunarc-calibration": ", ".join(answering.calibrations)}

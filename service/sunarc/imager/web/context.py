@@ -292,12 +292,12 @@ class ApiContext:
         if self.chosen is None:
             record = self.archive.calibrations.current(self.camera, at=at)
         else:
-            record = self._best(at) if self.chosen == BEST else self._accepted(self.chosen)
+            record = self._find_most_certain(at) if self.chosen == BEST else self._require_not_refused(self.chosen)
         if record is not None and self.scope is not None:
             self.scope.setdefault(DECIDED_AT, record.decided_at)
         return None if record is None else self.ages.record(record, at or self.frame_clock())
 
-    def _accepted(self, calibration_id: str) -> CalibrationRecord:
+    def _require_not_refused(self, calibration_id: str) -> CalibrationRecord:
         """Return a calibration that may answer: none that its verdict refused."""
         record = self.calibration(calibration_id, field_name=CALIBRATION)
         if not record.accepted or record.damaged:
@@ -306,7 +306,7 @@ class ApiContext:
             raise NotFoundError(field=CALIBRATION, problem=f"{calibration_id} {why}", remedy=remedy)
         return record
 
-    def _best(self, at: datetime | None) -> CalibrationRecord | None:
+    def _find_most_certain(self, at: datetime | None) -> CalibrationRecord | None:
         """Return the accepted calibration of the pose epoch that answers with the least uncertainty over the sky."""
         answering = self.archive.calibrations.current(self.camera, at=at)
         if answering is None:
@@ -316,10 +316,10 @@ class ApiContext:
             for record in self.archive.calibrations.find(self.camera)
             if record.pose_epoch == answering.pose_epoch and record.accepted and not record.damaged
         ]
-        return min([answering, *rivals], key=_sky_rms_deg)
+        return min([answering, *rivals], key=_get_sky_rms_deg)
 
 
-def _sky_rms_deg(record: CalibrationRecord) -> float:
+def _get_sky_rms_deg(record: CalibrationRecord) -> float:
     value = record.document.get("uncertainty", {}).get("sky_rms_deg")
     return math.inf if value is None else float(value)
 

@@ -181,7 +181,7 @@ def geolocation_routes(context: ApiContext, slots: bulk.ComputeSlots) -> APIRout
     return routes
 
 
-def _read(body: bytes, most: int) -> FloatArray:
+def _read_points(body: bytes, most: int) -> FloatArray:
     request = parsed_body(GeolocateRequest, body, most=most)
     if request.points is not None:
         points = np.array(request.points, dtype=np.float64).reshape(-1, 3)
@@ -215,26 +215,26 @@ def _require_each(n_times: int, n_points: int) -> None:
         raise InputError(field="at", problem=problem, remedy=remedy)
 
 
-def _locate(answering: bulk.Answering, points: Rows) -> Rows:
+def _locate_points(answering: bulk.Answering, points: Rows) -> Rows:
     exact = np.asarray(points, dtype=np.float64)
     if answering.each is None:
-        return _located_at(answering, exact, answering.time.timestamp())
+        return _locate_points_at(answering, exact, answering.time.timestamp())
     rows = np.empty((len(exact), len(LOCATED)))
     for one, at in answering.each.split(exact[:, _TIME]):
-        rows[at] = _located_at(one, exact[at], exact[at, _TIME])
+        rows[at] = _locate_points_at(one, exact[at], exact[at, _TIME])
     return rows
 
 
-def _located_at(answering: bulk.Answering, exact: FloatArray, unix_s: float | FloatArray) -> FloatArray:
+def _locate_points_at(answering: bulk.Answering, exact: FloatArray, unix_s: float | FloatArray) -> FloatArray:
     """Return the answer's rows for points that see the sun of one time, or each of its own, of one solar day."""
     site = answering.context.site_with_air_at(answering.time)
     exact = _check_heights(exact)
     cloud = cloud_positions(
-        answering.ready, exact[:, :2], height_m=exact[:, 2], height_sigma_m=_height_sigma(exact), site=site
+        answering.ready, exact[:, :2], height_m=exact[:, 2], height_sigma_m=_get_height_sigma(exact), site=site
     )
     with np.errstate(all="ignore"):  # what has no place is answered with null
         shadow = shadows(cloud, sun_directions(unix_s, site), site)
-        return np.concatenate([_row(cloud), _row(shadow)], axis=1)
+        return np.concatenate([_make_row(cloud), _make_row(shadow)], axis=1)
 
 
 def _check_heights(points: FloatArray) -> FloatArray:
@@ -246,7 +246,7 @@ def _check_heights(points: FloatArray) -> FloatArray:
     return points
 
 
-def _height_sigma(points: FloatArray) -> FloatArray:
+def _get_height_sigma(points: FloatArray) -> FloatArray:
     """Return (n,): 1-sigma of the heights, m; 0 where none is given."""
     return points[:, 3] if points.shape[1] > 3 else np.zeros(len(points))
 
@@ -258,11 +258,11 @@ def _draw_places(answering: bulk.Answering, ensemble: Ensemble, draw: int, point
         _check_heights(np.asarray(points, dtype=np.float64)),
     )
     directions = ensemble.back_project(draw, exact[:, :2])
-    height = exact[:, 2] + ensemble.common[draw] * _height_sigma(exact)
+    height = exact[:, 2] + ensemble.common[draw] * _get_height_sigma(exact)
     with np.errstate(all="ignore"):  # what has no place is answered with null
         cloud = clouds(directions, height_m=height, covariance=np.zeros((len(exact), 3, 3)), site=site)
         shadow = shadows(cloud, sun_directions(answering.time.timestamp(), site), site)
-        return np.concatenate([_row(cloud)[:, :6], _row(shadow)[:, :6]], axis=1)
+        return np.concatenate([_make_row(cloud)[:, :6], _make_row(shadow)[:, :6]], axis=1)
 
 
 def _place_draws_json(_answering: bulk.Answering, drawn: Rows) -> dict[str, Any]:
@@ -270,7 +270,7 @@ def _place_draws_json(_answering: bulk.Answering, drawn: Rows) -> dict[str, Any]
     return {part: {name: rows[..., k].tolist() for k, name in enumerate(_OF_ONE[:6])} for part, rows in parts.items()}
 
 
-def _row(found: Located) -> FloatArray:
+def _make_row(found: Located) -> FloatArray:
     spread = found.covariance_m2
     position = found.geodetic
     columns = (
@@ -318,9 +318,9 @@ def _columns_by_name(rows: Rows) -> dict[str, Any]:
 
 
 _GEOLOCATION = bulk.Computation(
-    read=_read,
+    read=_read_points,
     columns=(3, 4, _TIME + 1),
-    answer=bulk.RowTable(columns=LOCATED, compute=_locate, as_json=_geolocation_json),
+    answer=bulk.RowTable(columns=LOCATED, compute=_locate_points, as_json=_geolocation_json),
     drawn=bulk.RowTable(
         columns=(*_OF_ONE[:6], *(f"shadow_{name}" for name in _OF_ONE[:6])),
         compute=_draw_places,

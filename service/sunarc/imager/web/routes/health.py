@@ -41,7 +41,7 @@ def health_routes(context: ApiContext, registry: CollectorRegistry) -> APIRouter
     @routes.get("/v1/status")
     def status() -> schemas.Status:
         """Return the state of the service, its workers, camera, clock and disk, and the current calibration."""
-        return _status(context)
+        return _make_status(context)
 
     @routes.get(
         "/metrics",
@@ -81,7 +81,7 @@ def _not_ready(snapshot: StatusSnapshot, path: str) -> JSONResponse:
     )
 
 
-def _status(context: ApiContext) -> schemas.Status:
+def _make_status(context: ApiContext) -> schemas.Status:
     snapshot = context.status()
     found = context.calibration_or_none(None)
     record = None if found is None else found[0]
@@ -100,10 +100,10 @@ def _status(context: ApiContext) -> schemas.Status:
         timezone=context.timezone,
         disk_free_bytes=None if snapshot.disk is None else snapshot.disk.free_bytes,
         calibration=None if record is None else summary(record),
-        pose=None if found is None else _pose(found[1].camera),
+        pose=None if found is None else _make_pose(found[1].camera),
         last_day=days[0] if days else None,
         image_size=None if camera is None else list(camera.image_size),
-        obstructions=_obstructions(context),
+        obstructions=_make_obstructions(context),
     )
 
 
@@ -122,12 +122,12 @@ def _describe_sky(context: ApiContext, now: datetime) -> schemas.SkyNow:
     )
 
 
-def _obstructions(context: ApiContext) -> schemas.ObstructionsShown | None:
+def _make_obstructions(context: ApiContext) -> schemas.ObstructionsShown | None:
     learned = None if context.obstructions is None else context.obstructions.learned
     return None if learned is None else schemas.ObstructionsShown(time=learned.time, hidden_share=learned.hidden_share)
 
 
-def _pose(camera: Camera) -> schemas.Pose:
+def _make_pose(camera: Camera) -> schemas.Pose:
     angles = pose_angles(camera.rotation_cam_enu)._asdict()
     return schemas.Pose(text=pose_text(camera), top_azimuth_deg=top_azimuth_deg(camera), **angles)
 

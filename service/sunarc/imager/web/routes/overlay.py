@@ -152,7 +152,7 @@ def overlay_routes(context: ApiContext) -> APIRouter:
     def overlay(request: Request, at: At = None, if_none_match: IfNoneMatch = None) -> Response:
         """Return lines to draw over an image: zenith angles, azimuths, the sun's paths of today and the solstices."""
         selected = context.of(request)
-        return _send_answer(_overlay(selected, at or selected.frame_clock(), past=at), if_none_match)
+        return _send_answer(_make_overlay(selected, at or selected.frame_clock(), past=at), if_none_match)
 
     @routes.get(
         "/uncertainty",
@@ -169,7 +169,7 @@ def overlay_routes(context: ApiContext) -> APIRouter:
         """Return the 1-sigma of directions over the image, on a coarse grid."""
         selected = context.of(request)
         record = selected.record(at)
-        return _send_answer(_uncertainty(selected, record, cells, at or selected.frame_clock()), if_none_match)
+        return _send_answer(_make_uncertainty(selected, record, cells, at or selected.frame_clock()), if_none_match)
 
     _add_difference(routes, context)
     return routes
@@ -194,14 +194,14 @@ def _add_difference(routes: APIRouter, context: ApiContext) -> None:
         selected = context.of(request)
         record, second = selected.record(at), selected.calibration(other, field_name="other")
         both = selected.ages.model(record), selected.ages.model(second)
-        return _send_answer(_difference(*both, cells, (record.id, second.id)), if_none_match)
+        return _send_answer(_make_difference(*both, cells, (record.id, second.id)), if_none_match)
 
 
 def _send_answer(answer: BaseModel, if_none_match: str | None) -> Response:
     return tagged(answer.model_dump_json().encode(), if_none_match)
 
 
-def _overlay(context: ApiContext, time: datetime, *, past: datetime | None) -> Overlay:
+def _make_overlay(context: ApiContext, time: datetime, *, past: datetime | None) -> Overlay:
     answering = context.calibration_or_none(past)
     camera = None if answering is None else answering[1].camera
     today = solar_date(time.timestamp(), longitude=context.site.longitude)
@@ -210,20 +210,20 @@ def _overlay(context: ApiContext, time: datetime, *, past: datetime | None) -> O
     return Overlay(
         calibration=None if answering is None else answering[0].id,
         image_size=None if camera is None else [camera.width, camera.height],
-        zenith_circles=[] if camera is None else _circles(camera),
-        azimuth_lines=[] if camera is None else _lines(camera),
+        zenith_circles=[] if camera is None else _draw_zenith_circles(camera),
+        azimuth_lines=[] if camera is None else _draw_azimuth_lines(camera),
         sun_paths=[SunPath(name=name, **path.model_dump()) for name, path in paths],
     )
 
 
-def _circles(camera: Camera) -> list[ZenithCircle]:
+def _draw_zenith_circles(camera: Camera) -> list[ZenithCircle]:
     return [
         ZenithCircle(zenith_deg=zenith, pixels=_draw_line(camera, np.full_like(_AROUND_DEG, zenith), _AROUND_DEG))
         for zenith in _CIRCLES_DEG
     ]
 
 
-def _lines(camera: Camera) -> list[AzimuthLine]:
+def _draw_azimuth_lines(camera: Camera) -> list[AzimuthLine]:
     return [
         AzimuthLine(
             azimuth_deg=azimuth,
@@ -239,9 +239,9 @@ def _draw_line(camera: Camera, zenith_deg: FloatArray, azimuth_deg: FloatArray) 
     return [[round(x, 2), round(y, 2)] if math.isfinite(x + y) else None for x, y in pixels.tolist()]
 
 
-def _uncertainty(context: ApiContext, record: CalibrationRecord, cells: int, time: datetime) -> Uncertainty:
+def _make_uncertainty(context: ApiContext, record: CalibrationRecord, cells: int, time: datetime) -> Uncertainty:
     calibration = context.ages.model(record)
-    x, y, pixels = _grid(calibration.camera, cells)
+    x, y, pixels = _make_grid(calibration.camera, cells)
     with np.errstate(all="ignore"):  # what lies outside the field is answered with null
         _, sigma, inside = unproject_with_sigma(calibration, pixels)
     rows = np.where(inside, sigma, np.nan).reshape(len(y), len(x))
@@ -250,7 +250,7 @@ def _uncertainty(context: ApiContext, record: CalibrationRecord, cells: int, tim
         calibration=record.id,
         x_px=x.tolist(),
         y_px=y.tolist(),
-        sigma_deg=_finite(rows),
+        sigma_deg=_replace_nonfinite(rows),
         limit_deg=_LIMIT_DEG,
         share_within=share if math.isfinite(share) else None,
         least_certain=_describe_uncertain_part(context, calibration, time),
@@ -269,12 +269,12 @@ def _describe_uncertain_part(context: ApiContext, calibration: Calibration, time
     )
 
 
-def _difference(calibration: Calibration, other: Calibration, cells: int, ids: tuple[str, str]) -> Difference:
+def _make_difference(calibration: Calibration, other: Calibration, cells: int, ids: tuple[str, str]) -> Difference:
     sizes = [(one.camera.width, one.camera.height) for one in (calibration, other)]
     if sizes[0] != sizes[1]:
         problem = f"is of an image of {sizes[1][0]}x{sizes[1][1]} px, {ids[0]} of {sizes[0][0]}x{sizes[0][1]}"
         raise InputError(field="other", problem=problem, remedy="choose one of the same size")
-    x, y, pixels = _grid(calibration.camera, cells)
+    x, y, pixels = _make_grid(calibration.camera, cells)
     with np.errstate(all="ignore"):
         (first, _, in_first), (second, _, in_second) = (unproject_with_sigma(o, pixels) for o in (calibration, other))
     seen = in_first & in_second & np.all(np.isfinite(first + second), axis=-1)
@@ -285,7 +285,7 @@ def _difference(calibration: Calibration, other: Calibration, cells: int, ids: t
         other=ids[1],
         x_px=x.tolist(),
         y_px=y.tolist(),
-        difference_deg=_finite(angles.reshape(len(y), len(x))),
+        difference_deg=_replace_nonfinite(angles.reshape(len(y), len(x))),
         rms_deg=None,
         max_deg=None,
         rotation_deg=None,
@@ -304,7 +304,7 @@ def _difference(calibration: Calibration, other: Calibration, cells: int, ids: t
     return answer.model_copy(update=numbers)
 
 
-def _grid(camera: Camera, cells: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _make_grid(camera: Camera, cells: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return x and y of the centres of square cells over the image, and all of them as pixels (n, 2)."""
     step = max(camera.width, camera.height) / cells
     x: FloatArray = (np.arange(math.ceil(camera.width / step), dtype=np.float64) + 0.5) * step - 0.5
@@ -312,5 +312,5 @@ def _grid(camera: Camera, cells: int) -> tuple[FloatArray, FloatArray, FloatArra
     return x, y, np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
 
 
-def _finite(rows: FloatArray) -> list[list[float | None]]:
+def _replace_nonfinite(rows: FloatArray) -> list[list[float | None]]:
     return [[value if math.isfinite(value) else None for value in row] for row in rows.tolist()]

@@ -54,7 +54,7 @@ def sun_routes(context: ApiContext) -> APIRouter:
     @routes.get("/sun", dependencies=BY_CALIBRATION, responses=answers(404, 422))
     def sun(request: Request, at: At = None) -> Sun:
         """Return the sun's direction and its expected pixel, now (by the frames' time) or at the time `at`."""
-        return _sun(context.of(request), at or context.frame_clock(), past=at)
+        return _make_sun(context.of(request), at or context.frame_clock(), past=at)
 
     @routes.get("/sun/track", dependencies=BY_CALIBRATION, responses=answers(404, 422))
     def sun_track(
@@ -127,12 +127,12 @@ def _add_sighting_routes(routes: APIRouter, context: ApiContext) -> None:
             limit=page.rows,
         )
         rows, next_ = page.cut(found, request, time=lambda point: point.time)
-        return _sun_points(selected, rows, residuals=residuals, next_=next_)
+        return _make_sun_points(selected, rows, residuals=residuals, next_=next_)
 
     _add_counts(routes, context)
 
 
-def _sun(context: ApiContext, time: datetime, *, past: datetime | None) -> Sun:
+def _make_sun(context: ApiContext, time: datetime, *, past: datetime | None) -> Sun:
     site = context.site_with_air_at(time)
     angles = sun_angles(time.timestamp(), site)
     direction = direction_from_angles(zenith_deg=angles.apparent_zenith, azimuth_deg=angles.azimuth)
@@ -194,11 +194,13 @@ def compute_sun_track(context: ApiContext, day: date, *, step_s: int, past: date
     )
 
 
-def _sun_points(context: ApiContext, found: Sequence[SunPoint], *, residuals: bool, next_: str | None) -> SunPoints:
+def _make_sun_points(
+    context: ApiContext, found: Sequence[SunPoint], *, residuals: bool, next_: str | None
+) -> SunPoints:
     answering = context.calibration_or_none(None) if residuals else None
     residual_rows: list[Residual | None] = [None] * len(found)
     if answering is not None:
-        residual_rows = _residuals(answering[1], context, found)
+        residual_rows = _compute_residuals(answering[1], context, found)
     return SunPoints(
         sun_points=[
             SunPointWithResidual(**field_values(point), residual=residual)
@@ -209,7 +211,9 @@ def _sun_points(context: ApiContext, found: Sequence[SunPoint], *, residuals: bo
     )
 
 
-def _residuals(calibration: Calibration, context: ApiContext, points: Sequence[SunPoint]) -> list[Residual | None]:
+def _compute_residuals(
+    calibration: Calibration, context: ApiContext, points: Sequence[SunPoint]
+) -> list[Residual | None]:
     """Return the residual of each sighting; None without a pixel, or where the calibration has no pixel for the sun."""
     unix_s = np.array([point.time.timestamp() for point in points])
     observed = np.array([(point.x_px, point.y_px) for point in points], dtype=np.float64).reshape(-1, 2)

@@ -59,7 +59,7 @@ _BESIDE_S = 4.0 * DAY_S
 
 
 @dataclass(frozen=True, slots=True)
-class _Search:
+class _SearchRecord:
     time: datetime
     last_id: int
     divided: tuple[str, ...]
@@ -88,7 +88,7 @@ class EpochSearch:
 
     def due(self) -> solver_process.SolveProblem | None:
         """Return the search that is due; None where nothing is new."""
-        columns, record = self._near_new(), self.camera.archive.cameras.get(self.camera.name)
+        columns, record = self._select_near_new(), self.camera.archive.cameras.get(self.camera.name)
         if columns is None or record is None or float(np.ptp(columns.unix_s)) < DAY_S:
             return None
         self._last_id = int(columns.ids.max())
@@ -98,14 +98,14 @@ class EpochSearch:
             image_size=record.image_size,
             options=self.options,
             circle=self.circle,
-            lens=self._lens(),
+            lens=self._find_served_lens(),
         )
 
-    def _near_new(self) -> SunPointColumns | None:
+    def _select_near_new(self) -> SunPointColumns | None:
         """Return the sightings not yet searched and those within days of them; None where no sighting is new."""
         now = self.now()
         since = since_lens(self.camera, now)
-        searched = max((search.last_id for search in self._searches()), default=0)
+        searched = max((search.last_id for search in self._read_searches()), default=0)
         method = None if self.camera.archive.calibrations.current(self.camera.name) is None else "import"
         new = self.camera.archive.sightings.columns(
             self.camera.name, since=since, until=now, method=method, after_id=searched
@@ -126,7 +126,7 @@ class EpochSearch:
         near = sure & (np.minimum(after, before) <= _BESIDE_S)
         return columns.select(near) if np.any(near) else None
 
-    def _lens(self) -> Calibration | None:
+    def _find_served_lens(self) -> Calibration | None:
         """Return the calibration that is served, where it is a full fit that this version can read."""
         calibration = self.camera.archive.calibrations.current_model(self.camera.name)
         return None if calibration is None or is_provisional(calibration) else calibration
@@ -151,13 +151,13 @@ class EpochSearch:
         """Return whether no calibration has answered for a pose epoch since its bounds were set."""
         served_at = self.camera.archive.calibrations.last_served(self.camera.name, pose_epoch=epoch)
         now = self.now()
-        divided = [search.time for search in self._searches() if epoch in search.divided]
+        divided = [search.time for search in self._read_searches() if epoch in search.divided]
         return served_at is None or any(served_at < time <= now for time in divided)
 
-    def _searches(self) -> list[_Search]:
+    def _read_searches(self) -> list[_SearchRecord]:
         """Return the searches that were made; one whose event is damaged is empty."""
         events = self.camera.archive.events.find(self.camera.name, kind=SEARCHED)
-        return [_search(event) for event in events]
+        return [_parse_search(event) for event in events]
 
 
 def since_lens(camera: CameraArchive, now: datetime) -> datetime | None:
@@ -170,10 +170,10 @@ def since_lens(camera: CameraArchive, now: datetime) -> datetime | None:
     return changed[-1] if changed else None
 
 
-def _search(event: Event) -> _Search:
+def _parse_search(event: Event) -> _SearchRecord:
     """Return an event's record of a search; details with a flipped bit are read as far as they make sense."""
     last_id, divided = event.details.get("last_id"), event.details.get("divided")
-    return _Search(
+    return _SearchRecord(
         event.time,
         last_id if isinstance(last_id, int) else 0,
         tuple(str(name) for name in divided) if isinstance(divided, list) else (),
@@ -253,7 +253,7 @@ def next_task(
         return Finding("no_usable_sightings", counts)
     epochs = [read.epoch_ids[number] for number in np.unique(read.candidates.epoch[selection.index]).tolist()]
     others = camera.archive.sightings.columns(camera.name, since=since, until=now, body=None, no_sun=True)
-    stars = _stars(others, epochs, record.image_size)
+    stars = _select_stars(others, epochs, record.image_size)
     used = camera.archive.sightings.by_ids(camera.name, np.concatenate([read.ids[selection.index], stars]))
     if not np.any(used.body == SUN):  # deleted meanwhile
         return Finding("no_accepted_sightings")
@@ -282,7 +282,7 @@ def _is_tilt_known(camera: CameraArchive) -> bool:
     return max(off_deg) < _SAME_SITE_DEG
 
 
-def _stars(others: SunPointColumns, epochs: Sequence[str], image_size: tuple[int, int]) -> IntArray:
+def _select_stars(others: SunPointColumns, epochs: Sequence[str], image_size: tuple[int, int]) -> IntArray:
     """Return the keys of the most certain stars and planets of each part of the image.
 
     Of the pose epochs that the sun was seen in; those of the latest epoch first, then of the others.
@@ -347,7 +347,7 @@ class RefitWorker:
         self._epochs = EpochSearch(
             self.camera,
             options=self.calibration,
-            circle=self._circle(),
+            circle=self._make_circle(),
             now=self.now,
         )
 
@@ -370,7 +370,9 @@ class RefitWorker:
         self._set_waiting(len(waiting))
         if self._waits_since_s is not None and self.clock.monotonic() - self._waits_since_s > _LONGEST_WAIT_S:
             for refit in waiting:
-                self._finish(refit, "failed", (Finding("refit_not_begun", {"limit_h": _LONGEST_WAIT_S / 3600.0}),))
+                self._finish_refit(
+                    refit, "failed", (Finding("refit_not_begun", {"limit_h": _LONGEST_WAIT_S / 3600.0}),)
+                )
             self._set_waiting(0)
 
     def _set_waiting(self, n: int) -> None:
@@ -394,23 +396,23 @@ class RefitWorker:
             self.camera,
             cadence_s=self.cadence_s,
             options=options_as_served(self.calibration, served),
-            circle=self._circle(),
+            circle=self._make_circle(),
             now=self.now(),
         )
         if isinstance(task, Finding):
-            self._finish(refit, "failed", (task,))
+            self._finish_refit(refit, "failed", (task,))
             return
         try:
-            solved = _in_child(self.solve, task.problem, child)
+            solved = _run_in_child(self.solve, task.problem, child)
         except solver_process.SolveFailedError as error:
-            self._finish(refit, "failed", (error.finding,))
+            self._finish_refit(refit, "failed", (error.finding,))
             return
         if solved is not None:
-            self._judge(refit, task, task.state_selection(solved))
+            self._judge_and_store(refit, task, task.state_selection(solved))
         if solved is not None and solved.verdict.accepted:
             self._answer_for_past(task, child)
 
-    def _circle(self) -> ImageCircle | None:
+    def _make_circle(self) -> ImageCircle | None:
         numbers = self.options.image_circle_px
         return None if numbers is None else ImageCircle(x=numbers[0], y=numbers[1], radius=numbers[2])
 
@@ -420,7 +422,7 @@ class RefitWorker:
         if problem is None:
             return
         try:
-            steps = _in_child(self.search, problem, child)
+            steps = _run_in_child(self.search, problem, child)
         except solver_process.SolveFailedError as error:  # the fit says itself when it cannot do with one pose
             _log.warning("pose epochs were not searched for: %s", error)
             return
@@ -435,36 +437,36 @@ class RefitWorker:
         waiting = [epoch for epoch in task.used.epoch_ids[:-1] if epoch in ends and self._epochs.unanswered(epoch)]
         for epoch in reversed(waiting[-_MOST_PAST:]):
             try:
-                solved = _in_child(self.solve, task.for_epoch(epoch), child)
+                solved = _run_in_child(self.solve, task.for_epoch(epoch), child)
             except solver_process.SolveFailedError as error:
                 _log.warning("no calibration of pose epoch %s: %s", epoch, error)
                 continue
             if solved is None:
                 return
             solved = task.state_selection(solved)
-            record = self._keep(task, replace(solved, verdict=accept(solved)), None, pose_epoch=epoch)
+            record = self._store_calibration(task, replace(solved, verdict=accept(solved)), None, pose_epoch=epoch)
             if record.accepted:
                 self.camera.archive.calibrations.answer_between(record.id, since=starts[epoch], until=ends[epoch])
 
-    def _judge(self, refit: Refit, task: RefitTask, solved: Calibration) -> None:
+    def _judge_and_store(self, refit: Refit, task: RefitTask, solved: Calibration) -> None:
         current = self.camera.archive.calibrations.current(self.camera.name)
         epoch = self.camera.archive.epochs.current(self.camera.name, at=self.now())
-        solved = add_pose_spread(solved, self._pose_spread(epoch))
+        solved = add_pose_spread(solved, self._measure_pose_spread(epoch))
         if self.keep_provisional:
             solved = provisional(solved, limit_deg=self.calibration.max_sky_deg)
         if epoch is not None and task.pose_epoch != epoch.id:
             moved = Finding("moved_since", {"time": epoch.started_at.isoformat()})
             solved = replace(solved, verdict=Verdict(accepted=False, findings=(moved,)))
         else:
-            solved = replace(solved, verdict=self._verdict(task, solved, current))
-        record = self._keep(task, solved, current)
+            solved = replace(solved, verdict=self._make_verdict(task, solved, current))
+        record = self._store_calibration(task, solved, current)
         state: RefitState = "accepted" if record.accepted else "marginal" if solved.verdict.marginal else "refused"
         is_active = record.accepted and self.camera.archive.calibrations.activate(record.id).state == "current"
         pinned = (Finding("active_is_pinned"),) if record.accepted and not is_active else ()
-        self._finish(refit, state, (*record.findings, *pinned), calibration=record.id)
+        self._finish_refit(refit, state, (*record.findings, *pinned), calibration=record.id)
         self._integrity.check()
 
-    def _pose_spread(self, epoch: PoseEpoch | None) -> tuple[float, float, float]:
+    def _measure_pose_spread(self, epoch: PoseEpoch | None) -> tuple[float, float, float]:
         """Return the scatter of the pose over the last days of the open epoch."""
         if epoch is None:
             return pose_spread_deg((), ())
@@ -474,7 +476,7 @@ class RefitWorker:
         known = [(offset, sigma) for offset, sigma in offsets if offset and sigma]
         return pose_spread_deg([offset for offset, _ in known], [sigma for _, sigma in known])
 
-    def _verdict(self, task: RefitTask, solved: Calibration, current: CalibrationRecord | None) -> Verdict:
+    def _make_verdict(self, task: RefitTask, solved: Calibration, current: CalibrationRecord | None) -> Verdict:
         if current is None:
             return accept(solved)
         try:
@@ -491,7 +493,7 @@ class RefitWorker:
             return Verdict(accepted=True, findings=(Finding("replaces_damaged"), *verdict.findings))
         return verdict
 
-    def _keep(
+    def _store_calibration(
         self, task: RefitTask, solved: Calibration, current: CalibrationRecord | None, *, pose_epoch: str | None = None
     ) -> CalibrationRecord:
         """Store the calibration; the first one of a pose epoch answers from the epoch's beginning."""
@@ -502,7 +504,7 @@ class RefitWorker:
             camera=self.camera.name,
             state="candidate" if solved.verdict.accepted or solved.verdict.marginal else "refused",
             created_at=now,
-            valid_from=self._answers_from(epoch, now),
+            valid_from=self._find_start_of_answers(epoch, now),
             valid_until=None,
             pose_epoch=epoch,
             software_version=sunarc.__version__,
@@ -511,13 +513,13 @@ class RefitWorker:
             document, parent=None if current is None else current.id, used=task.used
         )
 
-    def _answers_from(self, pose_epoch: str, now: datetime) -> datetime:
+    def _find_start_of_answers(self, pose_epoch: str, now: datetime) -> datetime:
         if not self._epochs.unanswered(pose_epoch):
             return now
         started = {epoch.id: epoch.started_at for epoch in self.camera.archive.epochs.find(self.camera.name)}
         return started.get(pose_epoch, now)
 
-    def _finish(
+    def _finish_refit(
         self, refit: Refit, state: RefitState, findings: tuple[Finding, ...], *, calibration: str | None = None
     ) -> None:
         now, message = self.now(), "; ".join(one.text for one in findings)
@@ -539,7 +541,7 @@ def _write_date(record: CalibrationRecord) -> str:
     return f"{record.created_at.astimezone(UTC):%d %b %Y}"
 
 
-def _in_child(
+def _run_in_child(
     run: Callable[..., _Answer], problem: solver_process.SolveProblem, child: solver_process.ChildControl
 ) -> _Answer:
     """Solve or search, and once more where the process died: it may have been killed for another's need of memory."""
@@ -603,15 +605,15 @@ class CalibrationIntegrityCheck:
         current = self.camera.archive.calibrations.current(self.camera.name)
         self._current = None if current is None else current.id
         self._checked_at = self.now()
-        without = None if current is not None else self._without()
-        self.board.set_one_condition(_CODES, self._reason(current, without))
+        without = None if current is not None else self._missing_condition()
+        self.board.set_one_condition(_CODES, self._make_condition(current, without))
         is_first = without is not None and "n" in without.data
-        self.board.set_condition("no_fit_accepted", self._not_accepted() if is_first else None)
-        self.board.set_condition("tilt_unstated", self._unstated_tilt(current))
+        self.board.set_condition("no_fit_accepted", self._not_accepted_condition() if is_first else None)
+        self.board.set_condition("tilt_unstated", self._unstated_tilt_condition(current))
         if current is not None:
             self._check_sightings(current)
 
-    def _without(self) -> Reason:
+    def _missing_condition(self) -> Reason:
         """Return the condition `no_calibration`: the first is awaited, or the last has ended."""
         archive, name, now = self.camera.archive, self.camera.name, self.now()
         ended = [one for one in archive.calibrations.find(name, state="retired") if one.valid_until is not None]
@@ -624,7 +626,7 @@ class CalibrationIntegrityCheck:
         found = Finding("calibration_ended", {"calibration": last.id, "created_at": created_at, "ended_at": ended_at})
         return Reason.of(found, code="no_calibration")
 
-    def _not_accepted(self) -> Reason | None:
+    def _not_accepted_condition(self) -> Reason | None:
         """Return that the fits of a camera that was never calibrated were not accepted, with the last one's reason."""
         refits = self.camera.archive.refits.find(self.camera.name, limit=_REFITS_LOOKED_AT)
         last = next((one for one in refits if one.state in _NOT_ACCEPTED), None)
@@ -633,20 +635,20 @@ class CalibrationIntegrityCheck:
         remedy = next((one.remedy for one in last.findings if one.remedy != "none"), "see /v1/refits")
         return condition("no_fit_accepted", state=last.state, message=last.message, remedy=remedy)
 
-    def _reason(self, current: CalibrationRecord | None, without: Reason | None) -> Reason | None:
+    def _make_condition(self, current: CalibrationRecord | None, without: Reason | None) -> Reason | None:
         damaged = self.camera.archive.calibrations.damaged(self.camera.name)
         reason = without
         if damaged is not None:
             active = "no calibration" if current is None else current.id
-            reason = self._report("calibration_damaged", calibration=damaged, served=active)
+            reason = self._report_damage("calibration_damaged", calibration=damaged, served=active)
         if current is not None:
             try:
                 self.camera.archive.calibrations.model(current.id)
             except InputError as error:
-                reason = self._report("calibration_unreadable", calibration=current.id, error=str(error))
+                reason = self._report_damage("calibration_unreadable", calibration=current.id, error=str(error))
         return reason
 
-    def _unstated_tilt(self, current: CalibrationRecord | None) -> Reason | None:
+    def _unstated_tilt_condition(self, current: CalibrationRecord | None) -> Reason | None:
         """Return that the served camera is tilted by more than is stated, and the setting that states it."""
         if current is None:
             return None
@@ -673,19 +675,19 @@ class CalibrationIntegrityCheck:
         except NotFoundError:
             return  # imported, or made before evidence was kept
         except InputError as error:
-            self._report("evidence_changed", calibration=current.id, error=str(error))
+            self._report_damage("evidence_changed", calibration=current.id, error=str(error))
 
-    def _report(self, code: str, *, calibration: str, **data: str) -> Reason:
+    def _report_damage(self, code: str, *, calibration: str, **data: str) -> Reason:
         """Store an alarm once for each calibration, ask for a refit of a damaged one, and return the condition."""
         finding = Finding(code, {"calibration": calibration, **data})
         if code == "calibration_damaged":
-            self._replace(calibration)
+            self._request_replacement(calibration)
         written = self.camera.archive.events.find(self.camera.name, kind=code)
         if all(event.details.get("calibration") != calibration for event in written):
             self.camera.add_event(finding, time=self.now(), severity="alarm")
         return Reason.of(finding)
 
-    def _replace(self, damaged: str) -> None:
+    def _request_replacement(self, damaged: str) -> None:
         """Ask for a refit in place of a damaged calibration, once."""
         refits, name, reason = self.camera.archive.refits, self.camera.name, f"in place of {damaged}"
         if all(asked.reason != reason for asked in refits.find(name)):
