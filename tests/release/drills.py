@@ -126,7 +126,7 @@ def first_hours(stage: Stage) -> None:
     """Show the first morning, before the first fit."""
     stage.running()
     stage.archive.sightings.add(one for one in sightings(NOON, every_s=60.0) if one.accepted)
-    n = stage.archive.sightings.count_accepted("roof")
+    n = stage.archive.sightings.count_accepted_suns("roof")
     stage.board.set_condition("no_calibration", condition("no_calibration", n=n))
 
 

@@ -237,7 +237,7 @@ class FeedStore(Part):
         """Return the rows that were refused or set apart, the newest first."""
         c = quarantine.c
         statement = select(quarantine).where(_open_condition(), *given((c.camera.__eq__, camera)))
-        return self._database.values(statement.order_by(c.last_at.desc(), c.camera, c.seq).limit(limit), Quarantined)
+        return self._database.records(statement.order_by(c.last_at.desc(), c.camera, c.seq).limit(limit), Quarantined)
 
     def hubs(self) -> tuple[HubRun, ...]:
         """Return the hubs that have the database open, the oldest first; of a file none is known."""

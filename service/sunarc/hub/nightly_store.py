@@ -183,7 +183,7 @@ class NightlyStore(Part):
         c = day_summary.c
         filters = given((c.camera.__eq__, camera_name), (c.date.__ge__, since), (c.date.__lt__, until))
         order = (c.date.desc(), c.camera)
-        return self._database.values(select(day_summary).where(*filters).order_by(*order).limit(limit), DaySummary)
+        return self._database.records(select(day_summary).where(*filters).order_by(*order).limit(limit), DaySummary)
 
     def remove_sightings(self, *, before: datetime, now: datetime) -> int:
         """Remove the sightings of the months that ended before a time, and return how many months (SQLite: rows).
@@ -216,7 +216,7 @@ class NightlyStore(Part):
         """Return how the last nights up to and with `until` went, the newest first."""
         c = nightly_run.c
         statement = select(nightly_run).where(*given((c.night.__le__, until)))
-        return self._database.values(statement.order_by(c.night.desc()).limit(limit), NightlyRun)
+        return self._database.records(statement.order_by(c.night.desc()).limit(limit), NightlyRun)
 
     def cross_checks(self) -> CrossChecks:
         """Return the cross-checks of the newest night that made some."""

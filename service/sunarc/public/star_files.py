@@ -471,7 +471,7 @@ def _add_date_finding(image: StarImage, unix_s: float) -> StarImage:
     """Return an image with a finding where it was taken half a year or more from the night that gave the camera."""
     if image.time is None or abs(image.time.timestamp() - unix_s) < _HALF_A_YEAR_S:
         return image
-    days, date = (image.time.timestamp() - unix_s) / DAY_S, f"{utc_time(unix_s):%Y-%m-%d}"
+    days, date = abs(image.time.timestamp() - unix_s) / DAY_S, f"{utc_time(unix_s):%Y-%m-%d}"
     findings = (*image.findings, Finding("stars_years_apart", {"days": days, "date": date}))
     return replace(image, findings=findings, reason=joined(findings))
 

@@ -67,7 +67,7 @@ class ArchiveImage(NamedTuple):
 
     @property
     def name(self) -> str:
-        """The file's name as tables show it: its path, with the name of its source before it."""
+        """Label for display: the path, with the name of its source before it."""
         return _show_path(self.address, self.path)
 
     @property

@@ -24,7 +24,7 @@ from sunarc.common.errors import ConfigurationError, OutsideError
 from sunarc.detection.values import Detection
 from sunarc.imager.app import serving
 from sunarc.imager.app.cameras import camera_opener, camera_record
-from sunarc.imager.app.service import Service, imager_recording
+from sunarc.imager.app.service import Service, make_recording_workers
 from sunarc.imager.app.serving import Server, daily_schedule, load_credentials, monitored_parts, serve_imager
 from sunarc.imager.archive.archive import open_archive
 from sunarc.imager.archive.database.schema import upgrade
@@ -114,7 +114,7 @@ def test_only_what_sends_to_others_or_tries_the_store_is_optional(
     push = {"webhooks": ["http://127.0.0.1:9/"], "webhook_secret_file": tmp_path / "secret", "mqtt": "mqtt://127.0.0.1"}
     hub = {"url": "http://127.0.0.1:9", "token_file": tmp_path / "secret"}
     running = made(new_settings(tmp_path, camera=CAMERA, hub=hub, push=push), camera, clock)
-    workers = (*running.workers(), *imager_recording(running), *serving.make_push_workers(running))
+    workers = (*running.workers(), *make_recording_workers(running), *serving.make_push_workers(running))
     running.archive.close()
     sending = {"feed", "notices", "push_mqtt", f"push_{webhook_name('http://127.0.0.1:9/')}"}
     assert {worker.name for worker in workers if worker.optional} == {*sending, "room"}
@@ -295,7 +295,7 @@ def test_what_is_recorded_goes_on_over_a_restart(tmp_path: Path, camera: OpenCam
     since: list[datetime | None] = []
     for _ in range(2):
         running = made(new_settings(tmp_path, camera=CAMERA), camera, clock)
-        recording = {worker.name: worker.make_worker() for worker in imager_recording(running)}
+        recording = {worker.name: worker.make_worker() for worker in make_recording_workers(running)}
         housekeeping, conditions = recording["housekeeping"], recording["conditions"]
         assert isinstance(housekeeping, HousekeepingWorker)
         assert isinstance(conditions, ConditionTimesWorker)

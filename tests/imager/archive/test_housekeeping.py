@@ -87,11 +87,11 @@ def test_hours_are_kept_for_92_days_and_days_for_five_years(archive: Archive) ->
 
 
 def test_times_of_conditions_are_of_one_service_and_replaced_as_a_whole(archive: Archive) -> None:
-    archive.conditions.save("roof", {"disk_low": MIDNIGHT, "drift": MIDNIGHT + timedelta(hours=1)})
-    archive.conditions.save("", {"nightly_failed": MIDNIGHT})
+    archive.conditions.replace_since("roof", {"disk_low": MIDNIGHT, "drift": MIDNIGHT + timedelta(hours=1)})
+    archive.conditions.replace_since("", {"nightly_failed": MIDNIGHT})
     assert archive.conditions.times("roof") == {"disk_low": MIDNIGHT, "drift": MIDNIGHT + timedelta(hours=1)}
-    archive.conditions.save("roof", {"drift": MIDNIGHT})
+    archive.conditions.replace_since("roof", {"drift": MIDNIGHT})
     assert archive.conditions.times("roof") == {"drift": MIDNIGHT}
-    archive.conditions.save("roof", {})
+    archive.conditions.replace_since("roof", {})
     assert archive.conditions.times("roof") == {}
     assert archive.conditions.times("") == {"nightly_failed": MIDNIGHT}

@@ -58,7 +58,7 @@ def filled(archive: HubArchive, path: Path) -> Path:
     archive.housekeeping.add(
         "roof", [Housekeeping(time=NOON, disk_free_bytes=2**40, temperature_c=40.5, n_temperatures=1)]
     )
-    archive.conditions.save("roof", {"disk_low": NOON})
+    archive.conditions.replace_since("roof", {"disk_low": NOON})
     archive.nights.add_image("roof", night_image(NOON), keep_since=NOON)
     archive.nights.save(whole_night(NOON), event=night_event(whole_night(NOON)))
     archive.seen_files.add([SeenFile(camera="roof", file="a.jpg", stamp="1 2", content="ff", time=NOON)])

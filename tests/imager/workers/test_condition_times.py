@@ -142,7 +142,7 @@ def test_a_full_disk_delays_the_writing_alone(bench: Bench, monkeypatch: pytest.
 
 
 def test_a_beginning_that_lies_ahead_of_the_clock_is_now(bench: Bench) -> None:
-    bench.archive.conditions.save("roof", {"disk_low": START + timedelta(days=1)})
+    bench.archive.conditions.replace_since("roof", {"disk_low": START + timedelta(days=1)})
     bench.start()
     bench.board.set_condition("disk_low", LOW)
     assert bench.since("disk_low") == START

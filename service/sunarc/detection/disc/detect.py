@@ -273,7 +273,7 @@ def _detect_near(image: Image, *, sensor: Sensor, expectation: Expectation) -> D
     height, width = image.shape
     if not (-0.5 <= expectation.x_px < width - 0.5 and -0.5 <= expectation.y_px < height - 0.5):
         return _make_rejection("hidden", Finding("sun_outside_image"))
-    axes = _compute_expected_axes(expectation)
+    axes = _expected_shape_matrix(expectation)
     size = 2.0 * (MAX_RADIUS_PX / sensor.binning if axes is None else semi_axes(axes)[1])
     reach = 2.0 + 5.0 * expectation.uncertainty_px + size
     found = _search_near(reach, image, axes, sensor=sensor, expectation=expectation)
@@ -328,7 +328,11 @@ def _minimum_core_counts(sensor: Sensor) -> float:
     return sensor.black_level + max(share * MIN_PEAK_FRACTION * sensor.full_scale - noise, 0.0)
 
 
-def _compute_expected_axes(expectation: Expectation) -> FloatArray | None:
+def _expected_shape_matrix(expectation: Expectation) -> FloatArray | None:
+    """Return the symmetric (2, 2) matrix, px, that maps the unit circle to the sun's expected disc.
+
+    None where the stretch is unknown.
+    """
     if expectation.stretch_px_per_rad is None:
         return None
     stretch = np.array(expectation.stretch_px_per_rad) * math.radians(SOLAR_RADIUS_DEG)

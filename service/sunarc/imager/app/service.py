@@ -602,8 +602,11 @@ class Service:
 _OF_THE_HUB = ""
 
 
-def imager_recording(service: Service) -> tuple[Supervised, ...]:
-    """Return the workers of an imager; made before its conditions are set, so that they go on where they were."""
+def make_recording_workers(service: Service) -> tuple[Supervised, ...]:
+    """Return the workers that record housekeeping, since when conditions hold, and the store's room.
+
+    They are made before any condition is set, so that stored times are restored.
+    """
     frame_time = service.frame_time
 
     def now() -> datetime | None:

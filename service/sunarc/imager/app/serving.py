@@ -19,7 +19,7 @@ from fastapi import FastAPI
 
 from sunarc.imager.app.cameras import camera_opener, require_stored_site
 from sunarc.imager.app.pushing import imager_states, push_workers
-from sunarc.imager.app.service import Service, imager_recording
+from sunarc.imager.app.service import Service, make_recording_workers
 from sunarc.imager.app.status_line import FirstFrame, StatusLine
 from sunarc.imager.archive.archive import open_archive
 from sunarc.imager.archive.database.recovery import prepare_database
@@ -129,7 +129,7 @@ def _serve_at(listening: socket.socket, settings: Settings, folder_analysis: Fol
         recovered=recovered,
         folder_analysis=folder_analysis,
     )
-    recording = imager_recording(service)
+    recording = make_recording_workers(service)
     notifier = notifier_from(os.environ)
     status = StatusLine(
         notifier, snapshot=service.board.snapshot, address=_service_url(settings), monotonic=clock.monotonic

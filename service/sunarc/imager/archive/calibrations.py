@@ -32,7 +32,7 @@ from sunarc.imager.archive.calibration_rows import (
     wrong_state,
 )
 from sunarc.imager.archive.columns import copy_used, keep_used, sightings_used_by
-from sunarc.imager.archive.database.store import Database, Part, given, read_values
+from sunarc.imager.archive.database.store import Database, Part, given, read_records
 from sunarc.imager.archive.database.tables import calibration, pose_epoch, sun_point
 from sunarc.imager.archive.epochs import LENS_CHANGED, not_closed
 from sunarc.imager.archive.events import acknowledge_at, insert_event
@@ -512,7 +512,7 @@ EPOCH_CLOSED = "epoch_closed"
 
 def _read_epoch_and_previous(connection: Connection, epoch_id: str) -> tuple[PoseEpoch, PoseEpoch]:
     epochs = pose_epoch.c
-    in_order = read_values(connection, select(pose_epoch).where(not_closed()).order_by(epochs.started_at), PoseEpoch)
+    in_order = read_records(connection, select(pose_epoch).where(not_closed()).order_by(epochs.started_at), PoseEpoch)
     camera = next((epoch.camera for epoch in in_order if epoch.id == epoch_id), None)
     if camera is None:
         raise NotFoundError(

@@ -61,10 +61,10 @@ class CameraStore(Part):
 
     def all(self) -> tuple[CameraRecord, ...]:
         """Return the known cameras by name."""
-        return self._database.values(select(tables.camera).order_by(tables.camera.c.name), CameraRecord)
+        return self._database.records(select(tables.camera).order_by(tables.camera.c.name), CameraRecord)
 
     def get(self, name: str) -> CameraRecord | None:
         """Return the camera of a name; None where it is not known."""
         return next(
-            iter(self._database.values(select(tables.camera).where(tables.camera.c.name == name), CameraRecord)), None
+            iter(self._database.records(select(tables.camera).where(tables.camera.c.name == name), CameraRecord)), None
         )

@@ -17,7 +17,7 @@ from sunarc.common.array_types import FloatArray
 from sunarc.common.errors import InputError, NotFoundError
 from sunarc.common.findings import Finding, from_json
 from sunarc.imager.archive.database import tables
-from sunarc.imager.archive.database.store import Part, given, read_values, upsert
+from sunarc.imager.archive.database.store import Part, given, read_records, upsert
 from sunarc.imager.archive.database.tables import camera as cameras
 from sunarc.imager.archive.database.tables import day, day_air, night_image
 from sunarc.imager.archive.events import insert_event, log_event
@@ -50,7 +50,7 @@ class DayStore(Part):
                     problem=f"the archive has no camera {air.camera}",
                     remedy="wait until it has answered once, or import sightings of it",
                 )
-            stored = read_values(connection, select(day_air).where(*this), DayAir)
+            stored = read_records(connection, select(day_air).where(*this), DayAir)
             if stored and _get_air_values(stored[0]) == _get_air_values(air):
                 return stored[0]
             if _get_air_values(air) == (None, None):
@@ -76,7 +76,7 @@ class DayStore(Part):
     def site_in_measured_air(self, camera: str, site: Site, day: date) -> Site:
         """Return a camera's site with the measured air of a solar day; with its own where nothing was measured."""
         with self._database.reading() as connection:
-            found = read_values(
+            found = read_records(
                 connection, select(day_air).where(day_air.c.camera == camera, day_air.c.date == day), DayAir
             )
         if not found:
@@ -103,7 +103,7 @@ class DayStore(Part):
         """Return the days with `since` <= date < `until` that have a verdict, the newest first."""
         c = tables.day.c
         filters = given((c.camera.__eq__, camera), (c.date.__ge__, since), (c.date.__lt__, until))
-        return self._database.values(select(tables.day).where(*filters).order_by(c.date.desc()).limit(limit), Day)
+        return self._database.records(select(tables.day).where(*filters).order_by(c.date.desc()).limit(limit), Day)
 
 
 def daily_air(connection: Connection, camera: str, unix_s: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -132,7 +132,7 @@ def _read_air(
 ) -> tuple[DayAir, ...]:
     c = day_air.c
     filters = given((c.camera.__eq__, camera), (c.date.__ge__, since), (c.date.__lt__, until))
-    return read_values(connection, select(day_air).where(*filters).order_by(c.date), DayAir)
+    return read_records(connection, select(day_air).where(*filters).order_by(c.date), DayAir)
 
 
 def _make_air_arrays(measured: Sequence[DayAir | SunPoint]) -> tuple[FloatArray, FloatArray]:
@@ -223,7 +223,7 @@ class NightStore(Part):
     def images(self, camera: str) -> tuple[NightImage, ...]:
         """Return the images of a camera's nights without a verdict, the oldest first."""
         c = night_image.c
-        return self._database.values(select(*_COLUMNS).where(c.camera == camera).order_by(c.time, c.kind), NightImage)
+        return self._database.records(select(*_COLUMNS).where(c.camera == camera).order_by(c.time, c.kind), NightImage)
 
     def begin_verdict(self, camera: str) -> int:
         """Count that the verdict of the stored images is begun, and return how often it was, this time included."""

@@ -12,7 +12,7 @@ from sqlalchemy import ColumnElement, Connection, func, insert, or_, select, upd
 from sunarc.common.errors import InputError
 from sunarc.imager.archive.calibration_rows import SERVED
 from sunarc.imager.archive.database import tables
-from sunarc.imager.archive.database.store import Part, read_values
+from sunarc.imager.archive.database.store import Part, read_records
 from sunarc.imager.archive.database.tables import sun_point
 from sunarc.imager.archive.values import PoseEpoch, SunPoint, field_values
 
@@ -29,7 +29,7 @@ class EpochStore(Part):
         # Read under the write lock, so that no other thread opens an epoch between the check and the row.
         with self._database.writing() as connection:
             statement = select(tables.pose_epoch).where(epochs.camera == camera)
-            before = read_values(connection, statement, PoseEpoch)
+            before = read_records(connection, statement, PoseEpoch)
             # a closed epoch has no duration, but its beginning stays unique
             if any(e.started_at >= at for e in before if e.ended_at != e.started_at or e.started_at == at):
                 raise InputError(
@@ -56,7 +56,7 @@ class EpochStore(Part):
         epochs = tables.pose_epoch.c
         with self._database.writing() as connection:
             statement = select(tables.pose_epoch).where(epochs.camera == camera).order_by(epochs.started_at)
-            every = read_values(connection, statement, PoseEpoch)
+            every = read_records(connection, statement, PoseEpoch)
             begun = [
                 epoch for epoch in every if epoch.started_at < at and (epoch.ended_at is None or at < epoch.ended_at)
             ]
@@ -91,14 +91,14 @@ class EpochStore(Part):
         epochs = tables.pose_epoch.c
         newest = select(tables.pose_epoch).where(epochs.camera == camera, not_closed())
         newest = newest.order_by(epochs.started_at.desc()).limit(1)
-        found = self._database.values(newest if at is None else newest.where(epochs.started_at <= at), PoseEpoch)
+        found = self._database.records(newest if at is None else newest.where(epochs.started_at <= at), PoseEpoch)
         return found[0] if found else None
 
     def find(self, camera: str, *, include_closed: bool = False) -> tuple[PoseEpoch, ...]:
         """Return a camera's pose epochs, the first one first; those closed by an operator only if asked."""
         epochs = tables.pose_epoch.c
         filters = [epochs.camera == camera, *([] if include_closed else [not_closed()])]
-        return self._database.values(select(tables.pose_epoch).where(*filters).order_by(epochs.started_at), PoseEpoch)
+        return self._database.records(select(tables.pose_epoch).where(*filters).order_by(epochs.started_at), PoseEpoch)
 
 
 def _epoch_at(connection: Connection, camera: str, at: datetime, reason: str) -> PoseEpoch:
@@ -117,7 +117,7 @@ def _epoch_at(connection: Connection, camera: str, at: datetime, reason: str) ->
 
 def _read_epochs(connection: Connection, camera: str) -> tuple[PoseEpoch, ...]:
     statement = select(tables.pose_epoch).where(tables.pose_epoch.c.camera == camera, not_closed())
-    return read_values(connection, statement.order_by(tables.pose_epoch.c.started_at), PoseEpoch)
+    return read_records(connection, statement.order_by(tables.pose_epoch.c.started_at), PoseEpoch)
 
 
 def _find_last_begun(epochs: Sequence[PoseEpoch], at: datetime) -> PoseEpoch:

@@ -14,7 +14,7 @@ from sunarc.common.errors import ConflictError, NotFoundError
 from sunarc.common.findings import Finding
 from sunarc.common.utc import rfc3339
 from sunarc.imager.archive.database import tables
-from sunarc.imager.archive.database.store import Part, given, read_values, upsert
+from sunarc.imager.archive.database.store import Part, given, read_records, upsert
 from sunarc.imager.archive.database.tables import condition, housekeeping, refit
 from sunarc.imager.archive.values import (
     ACKNOWLEDGED_AT,
@@ -56,7 +56,7 @@ class RefitStore(Part):
         waiting = select(tables.refit).where(c.camera == refit.camera, c.state == "requested", c.finished_at.is_(None))
         # Read under the write lock: two requests at once would otherwise both find nothing.
         with self._database.writing() as connection:
-            found = read_values(connection, waiting.order_by(c.requested_at, c.id).limit(1), Refit)
+            found = read_records(connection, waiting.order_by(c.requested_at, c.id).limit(1), Refit)
             if found:
                 return found[0]
             connection.execute(insert(tables.refit).values(field_values(refit)))
@@ -88,7 +88,7 @@ class RefitStore(Part):
 
     def get(self, refit_id: str) -> Refit:
         """Return a refit by its id; NotFoundError for an unknown id."""
-        found = self._database.values(select(tables.refit).where(tables.refit.c.id == refit_id), Refit)
+        found = self._database.records(select(tables.refit).where(tables.refit.c.id == refit_id), Refit)
         if not found:
             raise NotFoundError(field="id", problem=f"there is no refit {refit_id}", remedy="use an id that was given")
         return found[0]
@@ -100,14 +100,14 @@ class RefitStore(Part):
         c = tables.refit.c
         filters = given((c.camera.__eq__, camera), (c.requested_at.__lt__, until))
         statement = select(tables.refit).where(*filters).order_by(c.requested_at.desc(), c.id.desc()).limit(limit)
-        return self._database.values(statement.where(c.finished_at.is_(None)) if unfinished else statement, Refit)
+        return self._database.records(statement.where(c.finished_at.is_(None)) if unfinished else statement, Refit)
 
     def _update_refit(self, refit_id: str, **columns: object) -> Refit:
         self.get(refit_id)
         this_refit = tables.refit.c.id == refit_id
         with self._database.writing() as connection:
             connection.execute(update(tables.refit).where(this_refit).values(**columns))
-            return read_values(connection, select(tables.refit).where(this_refit), Refit)[0]
+            return read_records(connection, select(tables.refit).where(this_refit), Refit)[0]
 
 
 class EventStore(Part):
@@ -141,8 +141,8 @@ class EventStore(Part):
         filters += given((c.kind.__eq__, kind))
         statement = select(tables.event).where(*of_camera, *filters).order_by(c.time.desc(), c.id.desc())
         if not to_acknowledge:
-            return self._database.values(statement.limit(limit), Event)
-        alarms = self._database.values(statement.where(c.severity == "alarm"), Event)
+            return self._database.records(statement.limit(limit), Event)
+        alarms = self._database.records(statement.where(c.severity == "alarm"), Event)
         return tuple(event for event in alarms if event.to_acknowledge)[:limit]
 
     def count_alarms(self, camera: str) -> Mapping[str, int]:
@@ -187,13 +187,13 @@ class EventStore(Part):
         c = tables.event.c
         of_camera = (c.camera == camera) | c.camera.is_(None)
         newest = select(tables.event).where(of_camera, c.id > event_id).order_by(c.id.desc()).limit(limit)
-        return self._database.values(newest, Event)[::-1]
+        return self._database.records(newest, Event)[::-1]
 
 
 def _read_event(connection: Connection, camera: str, event_id: int) -> Event:
     c = tables.event.c
     of_camera = (c.camera == camera) | c.camera.is_(None)
-    found = read_values(connection, select(tables.event).where(c.id == event_id, of_camera), Event)
+    found = read_records(connection, select(tables.event).where(c.id == event_id, of_camera), Event)
     if not found:
         problem = f"there is no event {event_id} of camera {camera}"
         raise NotFoundError(field="id", problem=problem, remedy="see /v1/events for those that there are")
@@ -209,7 +209,7 @@ def _acknowledge(connection: Connection, event: Event, *, at: datetime, reason: 
 def acknowledge_at(connection: Connection, camera: str, time: datetime, *, at: datetime, reason: str) -> None:
     """Acknowledge, within a transaction, the open events of a camera and a time."""
     c = tables.event.c
-    for event in read_values(connection, select(tables.event).where(c.camera == camera, c.time == time), Event):
+    for event in read_records(connection, select(tables.event).where(c.camera == camera, c.time == time), Event):
         if event.to_acknowledge:
             _acknowledge(connection, event, at=at, reason=reason)
 
@@ -237,8 +237,8 @@ class ConditionStore(Part):
             rows = connection.execute(select(condition.c.code, condition.c.since).where(condition.c.camera == camera))
             return {str(code): since for code, since in rows if since is not None}
 
-    def save(self, camera: str, times: Mapping[str, datetime]) -> None:
-        """Store since when conditions hold, in place of all that was stored of this service."""
+    def replace_since(self, camera: str, times: Mapping[str, datetime]) -> None:
+        """Replace all stored times since when conditions of a camera's service hold, by code; "" is the hub's own."""
         rows = [{"camera": camera, "code": code, "since": since} for code, since in times.items()]
         with self._database.writing() as connection:
             connection.execute(delete(condition).where(condition.c.camera == camera))
@@ -273,7 +273,7 @@ class HousekeepingStore(Part):
         c = housekeeping.c
         filters = given((c.time.__ge__, since), (c.time.__lt__, until))
         statement = select(*_COLUMNS).where(c.camera == camera, c.step == step, *filters).order_by(c.time.desc())
-        return self._database.values(statement, Housekeeping)
+        return self._database.records(statement, Housekeeping)
 
     def expire(self, camera: str, *, now: datetime) -> int:
         """Remove a camera's hours older than 92 days and days older than 1830, and return how many."""
@@ -286,7 +286,7 @@ class HousekeepingStore(Part):
 def _add_measurement(connection: Connection, camera: str, step: HousekeepingStep, measured: Housekeeping) -> None:
     c, time = housekeeping.c, _start_of_step(measured.time, step)
     this = (c.camera == camera, c.step == step, c.time == time)
-    stored = read_values(connection, select(*_COLUMNS).where(*this), Housekeeping)
+    stored = read_records(connection, select(*_COLUMNS).where(*this), Housekeeping)
     total = merged(measured, stored[0] if stored else Housekeeping(time=time), time=time)
     upsert(
         connection,

@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple
 from pydantic import TypeAdapter
 from sqlalchemy import ColumnElement, Connection, delete, func, insert, select, update
 
-from sunarc.imager.archive.database.store import Part, insert_new, read_values, upsert
+from sunarc.imager.archive.database.store import Part, insert_new, read_records, upsert
 from sunarc.imager.archive.database.tables import calibration, event, notice, notice_position, notice_sink
 from sunarc.imager.archive.values import Event
 
@@ -171,7 +171,7 @@ class NoticeStore(Part):
     def after(self, sink: str, *, limit: int) -> tuple[Notice, ...]:
         """Return the next notices that a receiver has not had, in their order."""
         seq = select(notice_sink.c.seq).where(notice_sink.c.sink == sink).scalar_subquery()
-        return self._database.values(
+        return self._database.records(
             select(notice).where(notice.c.seq > seq).order_by(notice.c.seq).limit(limit), Notice
         )
 
@@ -247,7 +247,7 @@ def _make_new_notices(
     """Return the rows of new notices, and the position after them."""
     camera, conditions, now, clears = look
     following = select(event).where(_camera_condition(camera), event.c.id > position.event).order_by(event.c.id)
-    events = read_values(connection, following.limit(_MOST_EVENTS), Event)
+    events = read_records(connection, following.limit(_MOST_EVENTS), Event)
     times = {one.id: one.time for one in events}
     rows: list[dict[str, Any]] = []
     reached = position

@@ -8,7 +8,7 @@ from datetime import datetime
 
 from sqlalchemy import delete, func, or_, select
 
-from sunarc.imager.archive.database.store import Part, given, read_values, upsert
+from sunarc.imager.archive.database.store import Part, given, read_records, upsert
 from sunarc.imager.archive.database.tables import seen_file
 from sunarc.imager.archive.values import field_values
 
@@ -52,7 +52,7 @@ class SeenFileStore(Part):
         c = seen_file.c
         dated = select(seen_file).where(c.camera == camera, c.time.is_not(None)).order_by(c.time.desc()).limit(limit)
         with self._database.reading() as connection:
-            return read_values(connection, dated, SeenFile)
+            return read_records(connection, dated, SeenFile)
 
     def used(self, camera: str, *, since: datetime | None, until: datetime | None, limit: int) -> tuple[SeenFile, ...]:
         """Return the files that were read with since <= time < until of their image, the newest first."""
@@ -60,14 +60,14 @@ class SeenFileStore(Part):
         filters = given((c.time.__ge__, since), (c.time.__lt__, until))
         dated = select(seen_file).where(c.camera == camera, c.time.is_not(None), c.code.is_(None), *filters)
         with self._database.reading() as connection:
-            return read_values(connection, dated.order_by(c.time.desc(), c.file).limit(limit), SeenFile)
+            return read_records(connection, dated.order_by(c.time.desc(), c.file).limit(limit), SeenFile)
 
     def at(self, camera: str, time: datetime) -> tuple[SeenFile, ...]:
         """Return the files with an image of a moment, by name."""
         c = seen_file.c
         with self._database.reading() as connection:
             found = select(seen_file).where(c.camera == camera, c.time == time).order_by(c.file)
-            return read_values(connection, found, SeenFile)
+            return read_records(connection, found, SeenFile)
 
     def refused(self, camera: str) -> Mapping[str, int]:
         """Return how many files were left out, by the code of the finding why."""

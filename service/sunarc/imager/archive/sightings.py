@@ -266,7 +266,7 @@ class SightingStore(Part):
         filters += given((c.body.__eq__, body), (c.ingest_pass.__eq__, ingest_pass))
         fields = [column for column in c if column.name != "id"]
         order = (c.time.desc(), c.id.desc()) if newest_first else (c.time, c.id)
-        return self._database.values(select(*fields).where(*filters).order_by(*order).limit(limit), SunPoint)
+        return self._database.records(select(*fields).where(*filters).order_by(*order).limit(limit), SunPoint)
 
     def columns(
         self,
@@ -370,8 +370,8 @@ class SightingStore(Part):
             select(c.verdict, func.count()).where(c.camera == camera, c.time >= since, c.time < until), c.verdict
         )
 
-    def count_accepted(self, camera: str) -> int:
-        """Return how many sightings of the sun were accepted."""
+    def count_accepted_suns(self, camera: str) -> int:
+        """Return the number of accepted sightings of the sun."""
         c = sun_point.c
         of_sun = (c.camera == camera, c.body == SUN, c.accepted.is_(True))
         with self._database.reading() as connection:

@@ -129,7 +129,7 @@ class Page:
         return self.skip + self.limit + 1
 
     def until(self, requested: datetime | None) -> datetime | None:
-        """Return the exclusive end of the times to query, given the client's `until`."""
+        """Return the earlier of the client's `until` and just after the page before's last time; both exclusive."""
         return _choose_earlier(requested, None if self.last is None else self.last + MICROSECOND)
 
     def until_date(self, requested: date | None) -> date | None:

@@ -113,7 +113,7 @@ def _read_line(setting: str, path: Path) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NightOptions:
-    """Work at night.
+    """Whether stars are observed at night.
 
     Attributes
     ----------

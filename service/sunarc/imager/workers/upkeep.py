@@ -384,7 +384,7 @@ class ConditionTimesWorker:
         if held == self._stored:
             return
         try:
-            self.archive.conditions.save(self.camera, held)
+            self.archive.conditions.replace_since(self.camera, held)
         except OutsideError as error:
             self._log_once("could not store since when conditions hold, will retry: %s", error)
         else:

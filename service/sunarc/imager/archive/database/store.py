@@ -262,10 +262,10 @@ class Database:
                 raise OutsideError(f"cannot write beside the database {path}: {error}") from error
             raise StoreFullError(f"the disk of the database {path} is full: {error}") from error
 
-    def values(self, statement: sa.Select[Any], kind: type[Value]) -> tuple[Value, ...]:
-        """Return one value per row; see `read_values`."""
+    def records(self, statement: sa.Select[Any], kind: type[Value]) -> tuple[Value, ...]:
+        """Return one `kind` per row; see `read_records`."""
         with self.reading() as connection:
-            return read_values(connection, statement, kind)
+            return read_records(connection, statement, kind)
 
 
 class Part:
@@ -280,10 +280,10 @@ class Part:
         self._database = database
 
 
-def read_values(connection: sa.Connection, statement: sa.Select[Any], kind: type[Value]) -> tuple[Value, ...]:
-    """Return one value per row; the columns carry the names of its fields.
+def read_records(connection: sa.Connection, statement: sa.Select[Any], kind: type[Value]) -> tuple[Value, ...]:
+    """Return one `kind` per row; the columns carry the names of its fields.
 
-    A row whose required values cannot be read (see `types`) is left out, and logged.
+    Unreadable rows, whose required values cannot be read (see `types`), are left out and logged.
     """
     result = connection.execute(statement)
     columns = tuple(statement.selected_columns)

@@ -1,7 +1,7 @@
 """The tables of the head revision, and the types of their columns; a column carries the name of the value's field.
 
 A stored value that cannot be read (a flipped bit, a hand) is None, and never an exception. A row that lacks a value
-which it must have is then left out of what is returned (see `store.read_values`).
+which it must have is then left out of what is returned (see `store.read_records`).
 """
 
 from __future__ import annotations

@@ -116,9 +116,9 @@ def _is_open(path: str) -> bool:
     return path in _OPEN_PATHS or path.startswith(_OPEN_FOLDER) or FEED_PATH.fullmatch(path) is not None
 
 
-def _is_same_token(given: str, token: bytes) -> bool:
-    """Compare a token with a digest, in a time that reveals nothing of either."""
-    return hmac.compare_digest(_digest_token(given.encode("utf-8", "replace")), token)
+def _is_same_token(given: str, digest: bytes) -> bool:
+    """Return whether a token has a SHA-256 digest, compared in a time that reveals nothing of either."""
+    return hmac.compare_digest(_digest_token(given.encode("utf-8", "replace")), digest)
 
 
 def _digest_token(token: bytes) -> bytes:

@@ -618,7 +618,7 @@ class CalibrationIntegrityCheck:
         archive, name, now = self.camera.archive, self.camera.name, self.now()
         ended = [one for one in archive.calibrations.find(name, state="retired") if one.valid_until is not None]
         if not ended:
-            return condition("no_calibration", n=archive.sightings.count_accepted(name))
+            return condition("no_calibration", n=archive.sightings.count_accepted_suns(name))
         last = max(ended, key=lambda one: one.valid_until or one.valid_from)
         created_at, ended_at = (
             rfc3339(time or now, timespec="minutes") for time in (last.created_at, last.valid_until)

@@ -214,7 +214,7 @@ class NightGain:
             self.restore(camera)
 
     def restore(self, camera: SkyCamera) -> None:
-        """Restore the gain where it was raised, and read it back; CameraLostError where it is another one."""
+        """Set the gain back to the settings' where it was raised; CameraLostError where that fails."""
         if not self._raised or not isinstance(camera, GainCamera):
             return
         try:
