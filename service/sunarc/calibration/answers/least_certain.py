@@ -152,7 +152,7 @@ def _find_sun_there(
         spans = tuple((float(first), float(last)) for first, last in ends if last > unix_s)
         if spans:
             return spans, day == 1, None
-    for day in np.arange(_NEXT_DAYS, _YEAR_DAYS, _NEXT_DAYS):
-        if np.any(is_there(times[::2] + day * DAY_S)):
-            return (), False, today + timedelta(days=float(day))
+    for later in np.arange(_NEXT_DAYS, _YEAR_DAYS, _NEXT_DAYS):
+        if np.any(is_there(times[::2] + later * DAY_S)):
+            return (), False, today + timedelta(days=float(later))
     return (), False, None
