@@ -113,7 +113,7 @@ def test_one_that_is_not_found_again_within_a_quarter_of_an_hour_has_ended(
 
 def test_one_that_comes_and_goes_is_never_written(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     written: list[object] = []
-    monkeypatch.setattr(bench.archive.conditions, "save", lambda *args: written.append(args))
+    monkeypatch.setattr(bench.archive.conditions, "replace_since", lambda *args: written.append(args))
     for _ in range(20):
         bench.board.set_condition("disk_low", LOW)
         bench.pass_time(50.0)
@@ -135,7 +135,7 @@ def test_a_full_disk_delays_the_writing_alone(bench: Bench, monkeypatch: pytest.
 
     bench.board.set_condition("disk_low", LOW)
     with monkeypatch.context() as full:
-        full.setattr(bench.archive.conditions, "save", refuse)
+        full.setattr(bench.archive.conditions, "replace_since", refuse)
         bench.pass_time(200.0)
     bench.pass_time(20.0)
     assert bench.archive.conditions.times("roof") == {"disk_low": START}
