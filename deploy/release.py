@@ -22,7 +22,7 @@ STATED = re.compile(r'^version = "([^"]+)"$', re.MULTILINE)
 UNRELEASED = "## [Unreleased]"
 PLACE = Path("usr/lib/sunarc/site")
 REPORTS = ("docs/booted.md", "docs/campaign.md")
-"""What `tests/release/run` wrote of its last runs."""
+"""Reports that `tests/release/run` wrote of its last runs."""
 TEXTS = re.compile(r"(?i)(licen[cs]e|copying|notice|copyright|authors)")
 
 

@@ -160,7 +160,7 @@ def _raw(source: Path) -> NDArray[np.uint16] | None:
 def _from_marks(script: Path, camera: Camera, sky: NightSky | None, reduced: int) -> float:
     """Return the median distance of a camera's stars from where others marked them, px of the whole picture.
 
-    The directions beside the marks are of a minute and a half before the picture: the bright star next to each counts.
+    The directions printed at the marks are of a minute and a half before the picture: the star next to each counts.
     """
     if sky is None:
         return math.nan

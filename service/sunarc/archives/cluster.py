@@ -38,7 +38,7 @@ Result = TypeVar("Result")
 
 
 class Workers(NamedTuple):
-    """Cluster to be used: the address of a scheduler, or so many processes of this machine where it is None.
+    """Cluster that computes: a scheduler by its address, or processes of this machine where no address is given.
 
     deaths: workers of this machine that a chunk may kill before it is divided.
     """

@@ -160,7 +160,7 @@ def _share_lens(calibrations: Sequence[Calibration], seen: Sequence[Sightings], 
     """
     fewer = int(len(seen[1]) <= len(seen[0]))
     posed = estimate_pose(seen[fewer], start=calibrations[1 - fewer], site=camera.site, options=camera.loosely())
-    fits = posed.left_out is None or len(posed.left_out) < len(seen[fewer])
+    fits = posed.evidence.n_used > 0
     return [posed.camera if side == fewer and fits else solved.camera for side, solved in enumerate(calibrations)]
 
 

@@ -32,9 +32,8 @@ _LEFT = 3.0
 """Powers of e by which sightings without the steady turn may still show a drift: of one that is not steady."""
 _FEWEST_DAYS = 5.0
 """Length of an epoch from which a turn is one of the mount: of less, a bump or the day's warmth is another reason."""
-
-
 _GROSS_SIGMAS = 3.0
+"""Residual, in its noise, from which a sighting counts less in the search for the turn."""
 _PLAIN = [*range(Param.PRINCIPAL_POINT_X_PX, Param.TRANSLATION_X), *range(Param.K2, Param.K6)]
 """Parameters of a lens that a turn is sought with, and the focal length: too few to follow the sun's declination."""
 _STEPS = np.array([*[0.1] * N_TURN, *[1.0] * 2, *[0.01] * N_TURN, *[0.01] * 4, 0.01])

@@ -1,4 +1,4 @@
-"""Departure of a posterior from its prior: the test whether sightings contradict what was stated before them.
+"""Departure of a posterior from its prior, and the limit from which sightings contradict the prior.
 
 The whole lens is tested, and each of its parts by itself: with a dozen quantities determined, one of them five sigmas
 off does not show in the sum of their squares.

@@ -26,6 +26,8 @@ DARK_ZENITH_DEG = 102.0
 
 _STEP_S = 300.0
 """Seconds in which the sun does not both pass a zenith angle and come back, but where it only grazes it."""
+_FIRST_LOOK_S = 3600.0
+"""Time ahead that is searched first; each further stretch is twice as long. A multiple of the step."""
 _LONGEST_NIGHT_DAYS = 200.0
 """More than the night of a pole."""
 _POLAR_RADIUS = 0.99664719
@@ -125,17 +127,19 @@ def find_next_sun_unix_s(unix_s: float, site: Site, *, zenith_deg: float, rising
     def holds(times: FloatArray) -> BoolArray:
         return np.asarray((sun_angles(times, site).apparent_zenith < zenith_deg) == rising)
 
-    for days in (2.0, _LONGEST_NIGHT_DAYS):
-        times = unix_s + np.arange(0.0, days * DAY_S, _STEP_S)
+    begin_s, length_s, end_s = unix_s, _FIRST_LOOK_S, unix_s + _LONGEST_NIGHT_DAYS * DAY_S
+    while begin_s < end_s:
+        times = np.arange(begin_s, min(begin_s + length_s, end_s), _STEP_S)
         found = np.flatnonzero(holds(times))
         if found.size:
             break
+        begin_s, length_s = begin_s + length_s, 2.0 * length_s
     else:
         return math.nan
-    first = int(found[0])
-    if first == 0:
+    first_s = float(times[found[0]])
+    if first_s == unix_s:
         return unix_s
-    seconds = times[first - 1] + np.arange(_STEP_S + 1.0)
+    seconds = first_s - _STEP_S + np.arange(_STEP_S + 1.0)
     return float(seconds[np.argmax(holds(seconds))])
 
 

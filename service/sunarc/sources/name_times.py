@@ -85,7 +85,6 @@ def _parse_offset(found: re.Match[str]) -> timedelta | None:
 
 _COMPACT = r"(\d{4})(\d{2})(\d{2})(\d{2})(\d{2})(\d{2})()"
 _PARTED = r"(\d{4})(\d{2})(\d{2})_(\d{2})(\d{2})(\d{2})()"
-_DOTTED = _PARTED.replace("_", r"\.")
 _SUFFIX = r"\.[A-Za-z]\w*$"
 
 

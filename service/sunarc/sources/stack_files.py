@@ -196,7 +196,6 @@ def _open_hdf5(file: Path | bytes, name: str) -> Iterator[_Stack]:
 
 
 _TREX = {"images", "timestamp"}
-_TREX_AXES = (2, 0, 1)
 
 
 def _make_trex_stack(images: Any, timestamps: Any) -> _Stack:  # noqa: ANN401 - h5py's data sets

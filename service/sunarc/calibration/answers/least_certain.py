@@ -10,7 +10,7 @@ import numpy as np
 
 from sunarc.calibration.answers.covariance import seen_sky, sigma_deg
 from sunarc.calibration.model.result import Calibration
-from sunarc.common.array_types import BoolArray, FloatArray
+from sunarc.common.array_types import BoolArray, FloatArray, IntArray
 from sunarc.common.utc import DAY_S, utc_time
 from sunarc.optics.mounting import COMPASS_POINTS, compass_point
 from sunarc.sky.days import day_bounds_unix_s, solar_date
@@ -44,7 +44,7 @@ class LeastCertain:
     sun_times: tuple[tuple[float, float], ...]
     """Intervals in which the sun is there, of those today that have not ended, else of tomorrow; unix seconds, UTC."""
     sun_is_tomorrow: bool
-    """Whether they are of the next solar day."""
+    """Day of these intervals: True for the next solar day, False for today."""
     sun_next: date | None
     """Solar date from which on the sun is there, to within 5 days; None where it is never there within a year."""
 
@@ -91,8 +91,9 @@ def find_least_certain(calibration: Calibration, site: Site, *, limit_deg: float
     if not np.any(beyond):
         return None
     zenith, azimuth = angles_from_direction(seen)
-    named = _choose_eighths(np.asarray(azimuth), beyond)
-    part = beyond & named[_number_eighth(np.asarray(azimuth))]
+    eighth = np.rint(np.asarray(azimuth) / (360.0 / _POINTS)).astype(np.int64) % _POINTS
+    named = _choose_eighths(eighth, beyond)
+    part = beyond & named[eighth]
     lowest, highest = np.quantile(90.0 - np.asarray(zenith)[part], _OUTERMOST)
     spans, is_tomorrow, following = _find_sun_there(seen, part, site, unix_s)
     return LeastCertain(
@@ -105,13 +106,8 @@ def find_least_certain(calibration: Calibration, site: Site, *, limit_deg: float
     )
 
 
-def _number_eighth(azimuth_deg: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
-    return np.rint(azimuth_deg / (360.0 / _POINTS)).astype(np.int64) % _POINTS
-
-
-def _choose_eighths(azimuth_deg: FloatArray, beyond: BoolArray) -> BoolArray:
-    """Return which eighths (8,) of the horizon have much of the part."""
-    eighth = _number_eighth(azimuth_deg)
+def _choose_eighths(eighth: IntArray, beyond: BoolArray) -> BoolArray:
+    """Return which eighths (8,) of the horizon have much of the part, by the eighth (n,) of each direction."""
     n = np.bincount(eighth, minlength=_POINTS)
     share = np.bincount(eighth[beyond], minlength=_POINTS) / np.maximum(n, 1)
     return np.asarray(share >= _SHARE * np.max(share))

@@ -48,7 +48,7 @@ from sunarc.calibration.fit.marginal_likelihood import (
 from sunarc.calibration.fit.normal_equations import LinearSystem, linear_system, most_probable_with_field, system_about
 from sunarc.calibration.fit.posterior import PosteriorCovariance, prediction_variance, stated_posterior
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
-from sunarc.calibration.model.result import STRONG_EVIDENCE, probability, proves, suspects
+from sunarc.calibration.model.result import probability, proves, suspects
 from sunarc.calibration.model.sightings import Sightings
 from sunarc.calibration.noise import Noise, NoiseGroups, measured_noise
 from sunarc.calibration.solve.levenberg_marquardt import information as information_of
@@ -108,11 +108,6 @@ class FitState:
     """Log odds of each shared error."""
     gain: float = math.inf
     """Gain of the last round in twice the log posterior."""
-
-    @property
-    def proven_field_px(self) -> float:
-        """The field's 1-sigma where the sightings prove one, else 0."""
-        return self.scales.amplitude_px if self.field_odds > STRONG_EVIDENCE else 0.0
 
     @property
     def member(self) -> IntArray:

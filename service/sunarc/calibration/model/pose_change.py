@@ -81,7 +81,7 @@ class SteadyTurn:
     """1-sigma of each."""
 
     def as_seen(self, directions: FloatArray, unix_s: FloatArray) -> FloatArray:
-        """Return where the camera of the stated time sees what the turned one sees at other times.
+        """Return the directions that the camera of the stated time sees at the pixels of the turned one.
 
         Parameters
         ----------

@@ -250,7 +250,7 @@ def add_problem_handlers(app: FastAPI, faults: FaultLog) -> None:
 
     async def ours(request: Request, error: Exception) -> JSONResponse:
         if _is_fault(error):
-            name = _record_faults(faults, error, request.scope)
+            name = record_fault(faults, error, request.scope)
             return internal_problem(request.url.path, name)
         return _answer_own_error(request, error)
 
@@ -259,7 +259,8 @@ def add_problem_handlers(app: FastAPI, faults: FaultLog) -> None:
     app.add_exception_handler(SunarcError, ours)
 
 
-def _record_faults(faults: FaultLog, error: Exception, scope: Scope) -> str:
+def record_fault(faults: FaultLog, error: Exception, scope: Scope) -> str:
+    """Log the fault that a request led to, and return its name."""
     request = f"{scope.get('method', '')} {scope.get('path', '')}".strip()
     return faults.record(error, request=request, now_s=asyncio.get_running_loop().time())
 

@@ -375,7 +375,7 @@ class ObstructionsShown(BaseModel):
 
 
 class SkyNow(BaseModel):
-    """The sun at the frames' time, what is observed then, and when the sun or the stars are next."""
+    """Sun at the time of the frames, kind of observation then, and times of the next sun and stars."""
 
     sun_elevation_deg: Annotated[float, described("Apparent elevation; below the horizon negative, degrees.", -34.1)]
     observed: Annotated[Observed, described("The sun, the stars of a dark sky where `night.enabled`, or nothing.")]

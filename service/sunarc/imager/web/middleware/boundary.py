@@ -14,7 +14,7 @@ from sunarc.common.utc import rfc3339
 from sunarc.imager.web.context import DECIDED_AT
 from sunarc.imager.web.middleware.http_only import HttpMiddleware
 from sunarc.imager.web.middleware.request_bodies import most_bytes, too_large
-from sunarc.imager.web.problems import Fault, FaultLog, UnreadError, internal_problem
+from sunarc.imager.web.problems import Fault, FaultLog, UnreadError, internal_problem, record_fault
 
 _HEADERS = {
     "content-security-policy": (
@@ -89,7 +89,7 @@ class Boundary(HttpMiddleware):
         try:
             await self.app(asked, receive, sending)
         except Exception as error:  # noqa: BLE001 - that is its purpose
-            name = self.faults.record(error, request=f"{scope['method']} {scope['path']}", now_s=clock.time())
+            name = record_fault(self.faults, error, scope)
             if not started:
                 await internal_problem(scope["path"], name)(asked, receive, sending)
 

@@ -26,7 +26,7 @@ _MOST_WITHOUT_ROWS = 16_384
 
 @dataclass(kw_only=True, eq=False)
 class Occupancy(HttpMiddleware):
-    """Bounds what requests hold: the memory of their bodies, and how many are answered at the same time.
+    """Limits of requests in progress: the memory of their bodies, and the number that is answered at the same time.
 
     A body is read before its request is counted and handed on: nothing else is occupied by one that does not come.
     Where there is no room a request is refused (429 for memory, 503), or an address that holds more than others loses

@@ -67,7 +67,7 @@ class Overlay(BaseModel):
 
 
 class UncertainPart(BaseModel):
-    """Part of the sky seen whose 1-sigma is above the limit, and what makes it less."""
+    """Part of the visible sky with a 1-sigma above the limit, and the sightings that reduce it."""
 
     text: str = Field(description="Where it is.", examples=["towards the north, below 20° of elevation"])
     remedy: str = Field(

@@ -160,7 +160,7 @@ def _make_sun(context: ApiContext, time: datetime, *, past: datetime | None) -> 
 
 
 def _read_clock_error_s(context: ApiContext) -> float:
-    """Return the bound of the error of the clock that says what time is now, s; 0 where it is not known."""
+    """Return the bound on the error of the present time, s; 0 where it is not known."""
     clock = context.status().clock
     return 0.0 if clock is None or clock.max_error_s is None else clock.max_error_s
 
